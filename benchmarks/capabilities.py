@@ -1,12 +1,14 @@
 """What works for which joint and robot: each command is tried on each, and a refusal keeps its reason.
 
-    python benchmarks/capabilities.py [NAME ...] [--out docs/results/capabilities.md]
+    python benchmarks/capabilities.py [NAME ...] [--only CAPABILITY ...]
 
 Runs are cut to a few control periods, as it is asked what works, not how well. Robots without a controller in their
-file are held at 0 deg by computed torque.
+file are held at 0 deg by computed torque. The answers are kept in capabilities.json, of which the page is made: what is
+not tried now stays as it was.
 """
 
 import argparse
+import json
 import re
 import signal
 import subprocess
@@ -29,14 +31,17 @@ control_period: 2 ms
 """
 HEAD = """# What works for which robot
 
-Made on {date} by `python benchmarks/capabilities.py --out docs/results/capabilities.md`: each command is tried on the
-knee of the paper, a muscle with mass and spring, the leg of the paper, the [arm that is read from
-MJCF](../robot-files.md), a neck whose muscles pass over both joints, and UMArm with 12 joints and 24 muscles. Runs are
-cut to a few control periods: it is asked what works, not how well. Blank: not tried, as it takes long.
+Made on {date} by `python benchmarks/capabilities.py [NAME ...]`: each command is tried on the knee of the paper, a
+muscle with mass and spring, the leg of the paper, the [arm that is read from MJCF](../robot-files.md), a neck whose
+muscles pass over both joints, and UMArm with 12 joints and 24 muscles. Runs are cut to a few control periods: it is
+asked what works, not how well. "over {longest} s": of processor time, and then ended.
 
 """
 LONGEST = 400
 """Processor time of a command [s]."""
+TOO_LONG = f"over {LONGEST} s"
+ANSWERS = Path(__file__).with_suffix(".json")
+PAGE = EXAMPLES.parent / "docs/results/capabilities.md"
 
 
 def held(text, folder, **stiffness):
@@ -73,6 +78,7 @@ SCENARIOS = {
     "neck": lambda: robot("neck.yaml", side=25, nod=25),
     "UMArm": lambda: robot("umarm.yaml", **{f"u{i}{axis}": 10 for i in range(1, 7) for axis in "xy"}),
 }
+TRIED = "last tried"
 HOST = str(EXAMPLES / "hardware/host.yaml")
 COMMANDS = {
     "simulate": ["simulate"],
@@ -105,7 +111,7 @@ def tried(words, folder):
     limited = ["sh", "-c", f'ulimit -t {LONGEST}; exec "$@"', "sh", *words]
     done = subprocess.run(limited, capture_output=True, text=True, cwd=folder, check=False)
     if -done.returncode in (signal.SIGXCPU, signal.SIGKILL):
-        return f"not within {LONGEST} s of processor time"
+        return TOO_LONG
     lines = [line for line in done.stderr.splitlines() if line.strip()]
     failed = "Traceback" in done.stderr or any(line.startswith("failed:") for line in lines)
     if done.returncode in (0, 1) and not failed:  # 1: a result that is not good
@@ -129,32 +135,36 @@ def answers(robot, names=(*COMMANDS, *PYTHON)):
             command = [sys.executable, "-m", "mckibben", *words[:place], "scenario.yaml", *words[place:]]
             found[name] = tried(command, folder)
         print(f"{robot}: {name}: {found[name]}", file=sys.stderr)
-    return found
+    return found | {TRIED: str(date.today())}
 
 
 def page(table):
-    """The table as Markdown, with the refusals below it; blank where a capability was not tried."""
-    header = ["", *table]
-    names = list(next(iter(table.values())))
-    shown = {"yes": "yes", "": ""}
-    rows = [[name, *(shown.get(of.get(name, ""), "no") for of in table.values())] for name in names]
+    """The table as Markdown, with the refusals below it; blank where a capability was never tried."""
+    header, shown = ["", *table], ("", "yes", TOO_LONG)
+    texts = {name: [of.get(name, "") for of in table.values()] for name in (*COMMANDS, *PYTHON)}
+    rows = [[name, *(text if text in shown else "no" for text in row)] for name, row in texts.items()]
+    rows.append([TRIED, *(of[TRIED] for of in table.values())])
     lines = [f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)]
-    refused = [f"- {name}, {key}: {text}" for key, of in table.items() for name, text in of.items() if text != "yes"]
-    return "\n".join([*lines, "", "## What is refused, and why", "", *refused]) + "\n"
+    refused = {}
+    for name, row in texts.items():
+        for robot, text in zip(table, row, strict=True):
+            if text not in shown:
+                refused.setdefault((name, text), []).append(robot)
+    reasons = [f"- {name}, {', '.join(robots)}: {text}" for (name, text), robots in refused.items()]
+    return "\n".join([*lines, "", "## What is refused, and why", "", *reasons]) + "\n"
 
 
 def main():
-    """Try all, and write the page."""
+    """Try what is asked for, and write answers and page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", choices=[[], *SCENARIOS], help="joints and robots; default: all")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--only", nargs="+", choices=[*COMMANDS, *PYTHON], help="capabilities; default: all")
     asked = parser.parse_args()
-    text = page({name: answers(name) for name in asked.names or SCENARIOS})
-    head = HEAD.format(date=date.today())
-    if asked.out:
-        asked.out.write_text(head + text, encoding="utf-8")
-    else:
-        print(head + text)
+    table = json.loads(ANSWERS.read_text(encoding="utf-8"))
+    for robot in asked.names or SCENARIOS:
+        table[robot] = table.get(robot, {}) | answers(robot, asked.only or (*COMMANDS, *PYTHON))
+        ANSWERS.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    PAGE.write_text(HEAD.format(longest=LONGEST, date=date.today()) + page(table), encoding="utf-8")
 
 
 if __name__ == "__main__":

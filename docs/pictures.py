@@ -5,15 +5,18 @@ python docs/pictures.py
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 from diagrams import TEST_RIG, WORKFLOWS, draw_control_loop, draw_workflow
+from matplotlib.figure import Figure
 from PIL import Image
 
 import mckibben as mk
-from mckibben.report.style import save
-from mckibben.scenario import run_scenario
+from mckibben.report.palette import BLUE, GREY, ORANGE, VERMILLION
+from mckibben.report.style import DOUBLE, blank, legend_above, letter, plain_numbers, save, styled
+from mckibben.scenario import batched, run_scenario, with_values
 from mckibben.scenario.statics import solve_statics
 from mckibben.study.felt import felt_stiffness
 from mckibben.study.stiffness import FeltStiffness
@@ -110,6 +113,35 @@ def _stiffness() -> None:
     scenario = mk.Scenario.read(ROOT / "examples" / "stiffness" / "push.yaml")
     _, svg = save(mk.report.felt_stiffness(FeltStiffness(scenario, felt_stiffness(scenario))), IMAGES, "felt-stiffness")
     svg.unlink()  # larger than the PNG
+    _, svg = save(_bandwidth(), IMAGES, "bandwidth")
+    svg.unlink()
+
+
+@styled
+def _bandwidth() -> Figure:
+    """What the bandwidth of the observer means where the friction is not that of the model."""
+    load = mk.PendulumLoad(1.0, 0.25, damping=0.05)
+    muscle = dataclasses.replace(mk.catalog.joint("knee-table-2").muscle1, friction=mk.MaxwellSlip("7.5 N", "0.5 mm"))
+    lab = mk.joint(muscle, "pulley", radius=30 * mm).scenario(load).with_fixed_model()
+    bandwidths = np.geomspace(10, 400, 14)
+    figure = blank(DOUBLE, 2.3)
+    panels = figure.subplots(1, 3)
+    for half_width, colour in ((1.0, BLUE), (7.5, ORANGE), (15.0, VERMILLION)):
+        friction = {f"joint.muscle{number}.friction.half_width": half_width for number in (1, 2)}
+        runs = batched(with_values(lab, friction), {"controller.observer.bandwidth": bandwidths})
+        found = runs.run_many().metrics
+        rows = found["angle_rmse"] / deg, runs.disk_margins(4).clip(0), found["command_travel"] / bar
+        for axes, values in zip(panels, rows, strict=True):
+            axes.plot(bandwidths, values, color=colour, label=f"half width {half_width:g} N")
+    for i, title in enumerate(("angle, RMS error [deg]", "disk margin", "travel of commands [bar/s]")):
+        letter(panels[i], i, title)
+        panels[i].set(xscale="log", xlabel="observer bandwidth [rad/s]", yscale="linear" if i == 1 else "log")
+        plain_numbers(panels[i].xaxis)
+    for i in (0, 2):
+        plain_numbers(panels[i].yaxis)
+    panels[1].axhline(0.2, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))
+    legend_above(figure, panels[0])
+    return figure
 
 
 def _robot() -> None:

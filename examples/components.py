@@ -21,7 +21,9 @@ from mckibben.numerics.calculus import bracketed_root
 from mckibben.plant import Disturbance, Sensors
 from mckibben.rig import JointHardware, SimulatedJoint
 from mckibben.rig.simulated import SimulatedRig
+from mckibben.robot import RobotController
 from mckibben.units import (
+    AngleGain,
     BoundedInt,
     Delay,
     Frequency,
@@ -240,6 +242,25 @@ class Eased(Controller):
         return self.inner.telemetry(state[0])
 
 
+class Synergy(RobotController):
+    """Controller of two joints: each differential pressure follows the angle errors of both."""
+
+    gain: AngleGain = 3 * bar
+    coupling: AngleGain = 1 * bar
+    cocontraction: Pressure = 2.5 * bar
+
+    def init(self, measurement):
+        return ()
+
+    def step(self, state, setpoint, measurement, period):
+        first, second = (own.angle - angle for own, angle in zip(setpoint, measurement.angles, strict=True))
+        commands = []
+        for own, other in ((first, second), (second, first)):
+            differential = self.gain * own + self.coupling * other
+            commands += [self.cocontraction - differential, self.cocontraction + differential]
+        return state, tuple(commands)
+
+
 class Integral(Loop):
     """Integral control alone; its output is its state."""
 
@@ -329,6 +350,7 @@ knee = mk.catalog.joint("knee-table-2")
 eased = Eased(
     mk.PositionStiffnessControl(mk.PID(2 * bar, 60 * bar, 0.4 * bar), mk.PID(0.08 * bar, 5 * bar, 0.0), model=knee)
 )
+synergy = Synergy()
 integral = Integral(60 * bar)
 twisting = SuperTwisting(k1=2.0)
 effort = Effort()

@@ -32,7 +32,9 @@ FIT = functools.cache(lambda: mk.identify(DATA))
         (lambda: mk.joint(FIT().muscle(), radius="30"), "'30 mm'"),  # type: ignore[operator]
         (lambda: FIT().muscle(diameter="20 bar"), "such as mm"),  # type: ignore[arg-type]
         (lambda: SCENARIO.joint.scenario(), "scenario(load"),  # type: ignore[call-arg]
-        (lambda: mk.Step(0.0, "10 deg", 1.0), "0.174533 or 10 * deg"),  # type: ignore[arg-type]
+        (lambda: SCENARIO.joint.torque("10 deg", (2e5, 3e5)), "0.174533 or 10 * deg"),  # type: ignore[arg-type]
+        (lambda: mk.Reference("10 bar", 13.0), "such as deg"),
+        (lambda: mk.simulate(SCENARIO.plant(), duration="2 m"), "such as s"),
         (lambda: mk.Specimen("mine", "3 bar"), "such as mm"),  # type: ignore[arg-type]
         (lambda: mk.identify(DATA, mk.SmoothLaw()), "mk.identify(data, SmoothLaw)"),  # type: ignore[call-arg, arg-type]
         (lambda: mk.rank(mk.ExponentialLaw, DATA), "swapped"),  # type: ignore[arg-type]
@@ -57,7 +59,7 @@ FIT = functools.cache(lambda: mk.identify(DATA))
         (lambda: mk.Fit("fit.yaml"), "Fit.from_yaml('fit.yaml')"),  # type: ignore[arg-type, call-arg]
         (lambda: mk.catalog.specimen(["x"]), "str"),  # type: ignore[arg-type]
         (lambda: mk.rank(DATA, "all"), "ExponentialLaw"),  # type: ignore[arg-type]
-        (lambda: mk.Reference(0.0, "13"), "SI units"),
+        (lambda: mk.Reference(0.0, "13"), "13 N*m/rad"),
         (lambda: SCENARIO.simulate().metrics["rmse"], "'angle_rmse'"),
         (lambda: SCENARIO.joint.stiffness(10 * deg), "stiffness(angle, pressures)"),  # type: ignore[call-arg]
         (lambda: SCENARIO.simulate()["angel"], "'angle'"),
@@ -177,3 +179,12 @@ def test_an_error_inside_a_right_call_is_not_blamed_on_its_arguments():
     with pytest.raises(TypeError, match="inside") as caught:
         mk.validate(Broken(1.0, 1e-7, 1.0, 1e-7, 1.0, 1e-7, 1.0, LAW.domain), DATA)
     assert not isinstance(caught.value, McKibbenError)
+
+
+def test_texts_with_units_are_numbers_in_si_wherever_a_thing_is_constructed():
+    step, gains = mk.Step("10 deg", 0.2, "2 s"), mk.PID("2 bar/rad", "1 bar/(rad*s)", "0 bar*s/rad")
+    assert (step.before, step.after, step.at) == pytest.approx((10 * deg, 0.2, 2.0))
+    assert (gains.kp, gains.ki, gains.kd) == pytest.approx((2e5, 1e5, 0.0))
+    reference = mk.Reference("10 deg", "13 N*m/rad")(0.0)
+    assert (reference.angle, reference.stiffness) == pytest.approx((10 * deg, 13.0))
+    assert mk.return_spring("4 N/mm", "120 mm").law.rate == pytest.approx(4000.0)

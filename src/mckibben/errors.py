@@ -83,10 +83,10 @@ def closest(name: str, candidates: Sequence[str]) -> str:
 
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:
     """An error for an unknown attribute, with the call that is meant by it, or the closest public name."""
-    private = name.startswith("_")  # asked for by copy, JAX and others, often
-    attributes: list[str] = [] if private else [*meant, *(other for other in dir(owner) if not other.startswith("_"))]
-    nearest = name if name in meant else closest(name, attributes)
-    hint = f"; did you mean {meant.get(nearest, nearest)}?" if nearest else ""
+    hint = ""
+    if not name.startswith("_"):  # which copy, JAX and others ask for, often
+        nearest = name if name in meant else closest(name, [*meant, *(own for own in dir(owner) if own[0] != "_")])
+        hint = f"; did you mean {meant.get(nearest, nearest)}?" if nearest else ""
     return AttributeError(f"{with_article(type(owner).__name__)} has no {name!r}{hint}", name=name, obj=owner)
 
 

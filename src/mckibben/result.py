@@ -84,6 +84,8 @@ class Column:
         Names of the axes of an array of more than one dimension, for NetCDF; such an array is in no table.
     detail
         Whether it is shown with details only.
+    phase
+        Whether it is an angle of any joint, also of a slide.
     """
 
     unit: str = ""
@@ -92,6 +94,7 @@ class Column:
     digits: int = 4
     dims: tuple[str, ...] = ()
     detail: bool = False
+    phase: bool = False
 
     @property
     def shown_unit(self) -> str:
@@ -111,7 +114,7 @@ class Column:
         >>> column.unit, column.title, column.shown
         ('N/m', 'stiffness at the position', 'N/mm')
         """
-        if joint_type is HINGE:
+        if joint_type is HINGE or self.phase:
             return self
         unit, shown = joint_type.unit(self.unit), joint_type.shown(self.shown_unit)
         return dataclasses.replace(self, unit=unit, title=joint_type.words(self.title), shown=shown)
@@ -138,9 +141,10 @@ def column(
     digits: int = 4,
     dims: tuple[str, ...] = (),
     default: object = dataclasses.MISSING,
+    phase: bool = False,
 ) -> Any:  # any type of field
     """Return a field of a `Result` that is one of its numbers, see `Column`."""
-    return field(default=default, metadata={"column": Column(unit, title, shown, digits, dims)})
+    return field(default=default, metadata={"column": Column(unit, title, shown, digits, dims, phase=phase)})
 
 
 def number(unit: str = "", title: str = "", shown: str = "", *, digits: int = 4) -> Callable[[F], F]:
@@ -173,6 +177,10 @@ def row_columns(kind: type, rows: Iterable[object]) -> TableColumns:
     """Return the columns of rows of one class, whose fields with a `column` and `number` properties declare them."""
     rows = list(rows)
     return {name: (mark, [getattr(row, name) for row in rows]) for name, mark in _declarations(kind).items()}
+
+
+def _for_joint(columns: Mapping[str, tuple[Column, Values]], joint_type: JointType) -> TableColumns:
+    return {name: (mark.for_joint(joint_type), values) for name, (mark, values) in columns.items()}
 
 
 def _declarations(kind: type) -> dict[str, Column]:
@@ -275,6 +283,10 @@ class Listing:
         cells, column = list(rows), Column(digits=digits)
         columns = zip(*cells, strict=True) if cells else ((),) * len(headings)
         return cls(title, {name: (column, list(values)) for name, values in zip(headings, columns, strict=True)})
+
+    def for_joint(self, joint_type: JointType) -> Listing:
+        """Return the table for a joint of a type, from that of a hinge."""
+        return dataclasses.replace(self, columns=_for_joint(self.columns, joint_type))
 
     def header(self) -> list[tuple[str, str]]:
         """Title and shown unit of each column."""
@@ -478,6 +490,11 @@ class Result(Suggesting):
         super().__init_subclass__()
         dataclass(frozen=True, eq=False, repr=False)(cls)
 
+    @property
+    def joint_type(self) -> JointType:
+        """How the joint moves that it is about: its numbers are declared for a hinge."""
+        return HINGE
+
     def verdict(self) -> str:
         """Return the one sentence that the user needs first."""
         return ""
@@ -494,7 +511,7 @@ class Result(Suggesting):
     def listings(self) -> Iterable[Listing]:
         """Return the tables: the declared scalars and columns, each with its details apart, then each `table`."""
         scalars, columns = {}, {}
-        for name, (column, value) in self.declared().items():
+        for name, (column, value) in self.numbers().items():
             if _dimensions(value) == 0:
                 scalars[name] = column, [value]
             elif not column.dims:
@@ -510,16 +527,19 @@ class Result(Suggesting):
     def _tables(self) -> Iterator[Listing]:
         for name, listing in _marked(type(self), "_table").items():
             content = getattr(self, name)()
-            if not isinstance(content, Mapping):
-                yield from content
-            elif content:
-                yield dataclasses.replace(listing, columns=content)
+            if isinstance(content, Mapping):
+                content = [dataclasses.replace(listing, columns=content)] if content else []
+            yield from (each.for_joint(self.joint_type) for each in content)
 
     def declared(self) -> TableColumns:
         """Columns and values of the fields that declare one, then of the properties that are a `number`."""
         values = {name: (mark, getattr(self, name)) for name, mark in _declarations(type(self)).items()}
         missing = [name for name, (_, value) in values.items() if value is None and name not in vars(self)]
         return {name: value for name, value in values.items() if name not in missing}
+
+    def numbers(self) -> TableColumns:
+        """Return what is `declared`, in the units of the joint."""
+        return _for_joint(self.declared(), self.joint_type)
 
     def plot(self) -> Figure:
         """Return the first of the `figures`; `ParameterError` if there is none."""
@@ -584,7 +604,7 @@ class Result(Suggesting):
         It is what `--json` prints; `results.json` has the names of all files, `files`, too.
         """
         scalars, columns = {}, {}
-        for name, (column, value) in self.declared().items():
+        for name, (column, value) in self.numbers().items():
             entry = {"title": column.title or name.replace("_", " "), "unit": column.unit}
             if _dimensions(value) == 0:
                 scalars[name] = {**entry, "value": json_ready(_plain(value))}
@@ -612,7 +632,7 @@ class Result(Suggesting):
         import xarray as xr
 
         variables = {}
-        for name, (column, value) in self.declared().items():
+        for name, (column, value) in self.numbers().items():
             values = np.asarray(value)
             dims = column.dims or ("row",) * values.ndim
             if values.dtype.kind != "O":

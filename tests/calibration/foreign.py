@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 GRAVITY = 9.81
-PERIOD, INNER = 1e-3, 2  # s, and integration steps
+PERIOD, INNER = 1e-3, 1  # s, and integration steps
 FREQUENCIES = np.array([1.0, 1.45, 1.95, 2.45, 2.95, 3.45, 4.0])  # Hz
 DEG = np.pi / 180
 
@@ -187,12 +187,10 @@ def simulate(rigs: Rigs, parts: Parts, middle: float, mean: tuple[float, float],
 
 
 def adapted(rigs: Rigs, parts: Parts, middle: float, mean: tuple[float, float]) -> np.ndarray:
-    """Amplitudes [Pa] at which fast parts move by 10 deg."""
-    amplitude = np.full((rigs.count, parts.mass.size), 0.2e5)
-    for _ in range(4):
-        angles = simulate(rigs, parts, middle, mean, amplitude)[1]
-        amplitude = amplitude * np.clip(10 * DEG / (np.abs(angles[1000:] - middle).max(axis=0)), 0.5, 1.6)
-    return amplitude
+    """Amplitudes [Pa] at which fast parts move by about 10 deg."""
+    amplitude = np.full((rigs.count, parts.mass.size), 0.4e5)
+    angles = simulate(rigs, parts, middle, mean, amplitude)[1]
+    return amplitude * np.clip(10 * DEG / (np.abs(angles[1000:] - middle).max(axis=0)), 0.5, 1.6)
 
 
 def measured(rng, angles, pressures, zero, *, noise=4e3, step=0.022 * DEG):

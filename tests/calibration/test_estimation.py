@@ -23,7 +23,7 @@ from mckibben.calibration.equations import _errors, linearised, problem_of, samp
 from mckibben.calibration.fitting import LocalMinimum
 from mckibben.calibration.models import HingeModel, RobotModel, Weight
 from mckibben.calibration.recordings import check_recording
-from mckibben.calibration.service import Follower, Recursion, follow, write_estimate, write_settings
+from mckibben.calibration.service import Follower, Recursion, follow, write_posterior, write_settings
 from mckibben.calibration.serving import InService, read_estimate, serve
 from mckibben.control import DecouplingControl, PolePlacement, Reference
 from mckibben.dataset import Recipe
@@ -35,7 +35,7 @@ from mckibben.numerics.compiled import jit
 from mckibben.rig.channels import Channels
 from mckibben.rig.compiled import ControlProgram
 from mckibben.scenario import Scenario
-from mckibben.units import deg
+from mckibben.units import SLIDE, deg
 from tests.calibration import foreign
 
 pytestmark = pytest.mark.usefixtures("optimized")
@@ -195,18 +195,23 @@ def foreign_rigs():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("mass", "most"), list(zip(WEIGHTS, (0.05, 0.04), strict=True)))
-def test_stiffness_of_rigs_of_another_law(foreign_rigs, mass, most):
+def test_stiffness_of_rigs_of_another_law(foreign_rigs):
     errors, before, inside, distances = [], [], [], []
     for recordings, at, true in foreign_rigs:
-        found = calibrate_joint(knee(), LOAD, [*recordings[0], *recordings[mass]], JointPrior(mass=0.02, inertia=0.05))
+        found = calibrate_joint(knee(), LOAD, [*recordings[0], *recordings[0.4]], JointPrior(mass=0.02, inertia=0.05))
         assert found.unexplained < 0.1
         distances += [each.distance for each in found.quantities.values() if each.expected is not None]
         (value, deviation), (prior, _) = found.stiffness(*at), found.prior_stiffness(*at)
         errors.append(np.mean(np.square(value - true)) / true.mean() ** 2)
         before.append(np.mean(np.square(prior - true)) / true.mean() ** 2)
         inside.append(np.mean(np.abs(value - true) < 1.96 * deviation))
-    assert np.sqrt(np.mean(errors)) < most < 0.5 * np.sqrt(np.mean(before)) + 0.01
+    print(
+        np.sqrt(np.mean(errors)),
+        0.5 * np.sqrt(np.mean(before)),
+        np.mean(inside),
+        np.sqrt(np.mean(np.square(distances))),
+    )
+    assert np.sqrt(np.mean(errors)) < 0.05 < 0.5 * np.sqrt(np.mean(before)) + 0.01
     assert np.mean(inside) > 0.85
     assert np.sqrt(np.mean(np.square(distances))) < 1.4  # 1 for priors that are right
 
@@ -346,6 +351,9 @@ def test_a_prior_is_read_from_a_file_with_units(tmp_path):
     (tmp_path / "prior.yaml").write_text("mass: 5 %\nzero: 1.2 deg\npressure_zero: 2 kPa\n", encoding="utf-8")
     found = JointPrior.read(tmp_path / "prior.yaml")
     assert found == JointPrior(mass=0.05, zero=1.2 * deg, pressure_zero=2e3)
+    (tmp_path / "prior.yaml").write_text("zero: 2 mm\n", encoding="utf-8")
+    of_a_slide = JointPrior.read(tmp_path / "prior.yaml", SLIDE)
+    assert (of_a_slide.zero_of(SLIDE), JointPrior().zero_of(SLIDE)) == pytest.approx((2e-3, 1.2e-3))
     (tmp_path / "prior.yaml").write_text("mas: 5 %\nzero: 0 deg\n", encoding="utf-8")
     with pytest.raises(ScenarioError) as refused:
         JointPrior.read(tmp_path / "prior.yaml")
@@ -493,7 +501,7 @@ def test_the_model_of_a_controller_follows_the_estimate(with_weight, tmp_path):
         duration=1.0,
         control_period=2e-3,
     )
-    write_estimate(scenario, with_weight.posterior, tmp_path / "estimate.json")
+    write_posterior(scenario, with_weight.posterior, tmp_path / "estimate.json")
     write_settings(tmp_path / "service.yaml")
     settings = InService.read(tmp_path / "service.yaml")
     np.testing.assert_array_equal(

@@ -244,6 +244,7 @@ def test_the_wall_of_a_muscle_is_identified_with_its_valve():
     assert found.residual < 1.2 * NOISE
 
 
+@pytest.mark.slow
 def test_a_spring_in_place_of_a_muscle_has_no_valve_and_pressures_that_do_not_follow_are_remarked():
     """The valve of the other muscle is fitted to the pressures of its own, or of the other command."""
     knee, one = catalog.joint("knee-table-2"), first_order((40 * ms, 55 * ms))

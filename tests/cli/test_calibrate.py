@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,8 @@ def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
     rows = estimates(numbers)
     assert rows["friction"]["determined"]
     assert not rows["added_mass"]["determined"]  # the weight is the scale
+    for name in ("scenario.yaml", "model.yaml"):
+        assert not re.search(r"\d\.\d{8}", (calibrated / name).read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("finished", [True, False])

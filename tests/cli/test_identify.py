@@ -49,6 +49,7 @@ COLUMNS = (
 )
 
 
+@pytest.mark.slow
 def test_a_table_as_it_stands(cli):
     found = cli("identify", FESTO)
     assert found.code == 0
@@ -58,6 +59,7 @@ def test_a_table_as_it_stands(cli):
     assert re.search(r"^decay +0\.3398\d+ +0\.0067 .*1/percent", found.out, re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_points_of_a_recording_are_drawn_in_the_terminal_and_their_figure_is_named_last(cli, tmp_path):
     steps = {"time_s": np.arange(90) * 0.1, "pressure_bar": np.full(90, 3.0)}
     steps |= {"contraction_percent": np.repeat([0.0, 5.0, 10.0], 30), "force_N": np.repeat([300.0, 100.0, 200.0], 30)}
@@ -241,6 +243,7 @@ def test_mistakes_are_explained(cli, options, named):
     assert (refused.code, refused.out) == (2, "") and named in refused.err
 
 
+@pytest.mark.slow
 def test_torques_of_two_muscles_give_one_for_scenarios(cli, tmp_path):
     """On pulleys of 25 mm, each muscle vented in turn, the other at three pressures."""
     law, angle = catalog.law("lei-mas-10-180n"), np.tile(np.linspace(-0.4, 0.4, 15), 6)

@@ -9,6 +9,7 @@ import pytest
 MARTENS = "dmsp-10-250-martens2017"
 
 
+@pytest.mark.slow
 def test_the_points_and_what_they_gain(cli):
     found = cli("plan", MARTENS, "--law", "exponential", "--for", "stiffness", "--points", "5")
     assert (found.code, found.err) == (0, "")

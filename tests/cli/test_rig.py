@@ -46,6 +46,7 @@ def test_it_runs_and_its_dataset_is_identified(cli, protocol):
     assert again.code == 2 and "resume it (--resume)" in again.err
 
 
+@pytest.mark.slow
 def test_a_stopped_test_says_why_and_how_to_go_on(cli, protocol):
     protocol.write_text(TEXT.replace("shorten: 50 mm", "shorten: 50 mm, force: 300 N"))
     text = protocol.read_text().replace("law: lei-mas-10-180n}", "mounted_at: 0 %}")

@@ -104,10 +104,8 @@ ROBOT = str(Path(__file__).parents[2] / "examples" / "robot" / "lei-leg.yaml")
 @pytest.mark.parametrize(
     ("command", "how"),
     [
-        (("sweep", "s.yaml", *MASS), ()),
         (("sweep", "s.yaml", *MASS), ("--force",)),
         (("sweep", "s.yaml", *MASS), ("--resume",)),
-        (("tune", "s.yaml"), ("--resume",)),
         (("robot", "jump", ROBOT), ("--resume",)),
     ],
     ids=lambda words: " ".join(words[:2]),

@@ -62,6 +62,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_compiler_that_does_not_work_leaves_it_to_xla_with_one_warning(use, programs, fault):
     use(FAULTS[fault])
@@ -200,6 +201,7 @@ def loop(shared, lane):
     return lax.scan(lambda carry, _: mixed(jnp, x, carry), x, None, length=20)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", [True, False])
 def test_long_blocks_are_written_in_parts(lanes, monkeypatch):
     sources = []

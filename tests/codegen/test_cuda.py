@@ -132,6 +132,7 @@ def no_library(path):
     raise OSError(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part, named", [("nvrtc", "mckibben[gpu]"), ("driver_library", "libcuda")])
 def test_without_compiler_or_driver_it_is_named(cuda_here, monkeypatch, part, named):
     monkeypatch.setattr(cuda, part, PARTS[part])

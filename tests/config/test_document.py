@@ -15,6 +15,7 @@ from mckibben.rig.document import RigTest
 from mckibben.rig.joint_rig import JointRig
 from mckibben.scenario import Scenario
 from mckibben.study.compare.suite import Suite
+from mckibben.units import HINGE, SLIDE
 
 READERS = [Scenario.read, Suite.read, RigTest.read, JointRig.read, read_law, Fit.from_yaml]
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -138,3 +139,13 @@ def test_a_scenario_with_misspelt_sections_is_still_a_scenario():
     with pytest.raises(ScenarioError) as caught:
         Scenario.parse(text)
     assert [problem.field for problem in caught.value.problems] == ["lod"]
+
+
+def test_what_stands_beside_a_slide_is_in_its_units():
+    text = "rig: simulated\nlimits: {lowest_angle: -30 UNIT, angle_rate: 300 UNIT/s}"
+    limits = JointRig.parse(text.replace("UNIT", "mm"), joint_type=SLIDE).limits
+    assert (limits.lowest_angle, limits.angle_rate) == pytest.approx((-0.03, 0.3))
+    for unit, joint_type in (("deg", SLIDE), ("mm", HINGE)):
+        with pytest.raises(ScenarioError) as caught:
+            JointRig.parse(text.replace("UNIT", unit), joint_type=joint_type)
+        assert {problem.field for problem in caught.value.problems} == {"limits.lowest_angle", "limits.angle_rate"}

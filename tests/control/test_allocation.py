@@ -45,6 +45,7 @@ def test_no_pressure_within_the_window_does_better(knee, setpoints, answers):
     assert np.isfinite(missed).sum() > 50
 
 
+@pytest.mark.slow
 def test_it_stays_within_the_window_and_says_when_it_had_to(knee, setpoints, answers):
     angle, torque, stiffness, lower, upper = setpoints
     pressures = np.asarray(answers.pressures)
@@ -56,6 +57,7 @@ def test_it_stays_within_the_window_and_says_when_it_had_to(knee, setpoints, ans
     assert 20 < met.sum() < 280
 
 
+@pytest.mark.slow
 def test_where_no_pressure_moves_the_stiffness_the_torque_is_had_all_the_same(knee):
     flat = knee.affine_map(0.1)
     flat = flat._replace(stiffness=flat.stiffness._replace(slope1=jnp.asarray(0.0), slope2=jnp.asarray(0.0)))
@@ -104,6 +106,7 @@ def test_the_map_of_other_joints_is_that_of_small_changes(as_printed):
         assert float(affine(nearby)) == pytest.approx(float(there), abs=0.03 * abs(float(there - here)))
 
 
+@pytest.mark.slow
 def test_pressures_keep_a_tension_and_the_rating(as_printed, knee):
     lowest, highest = pressure_range(knee, 0.2, 20.0)
     slackest, tightest = knee.tensions(0.2, lowest), knee.tensions(0.2, highest)

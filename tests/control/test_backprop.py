@@ -51,6 +51,7 @@ def backprop(base=BASE, **more):
     return numeric(BackpropPID(base, **SCALES | more))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [(-1e9, 1e9), (-1.0, 1.5)])
 @pytest.mark.parametrize("on_error", [False, True])
 def test_without_learning_it_is_the_pid_with_its_base_gains(limits, on_error):

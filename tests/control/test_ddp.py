@@ -169,6 +169,7 @@ def test_the_pressures_follow_from_the_state_by_the_implicit_function_theorem():
     np.testing.assert_allclose(_pressures_x(problem, by_angle, by_pressure), expected, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("problem", "error", "rate", "pressures", "saturated", "near"),
     [

@@ -50,6 +50,7 @@ def test_with_a_right_model_there_is_next_to_no_error(tracked, plant, name):
     assert float(jnp.abs(stiffness - 15.0)[100:].max()) < 0.1
 
 
+@pytest.mark.slow
 def test_the_loop_is_the_linear_one_that_was_designed(run, plant, controllers):
     """All poles at 60 rad/s: after a step the error is (1 + wt + (wt)^2/2) e^-wt of it."""
     error = -off(run(plant, controllers["observer"], mk.Step(0.0, 0.5 * deg, 0.1)))[100:400]
@@ -95,6 +96,7 @@ def test_a_wrong_load_leaves_no_error_at_rest(run, knee, load, plant, controller
             assert float(answer[0].telemetry["disturbance_estimate"][-1]) == pytest.approx(weight, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_nothing_winds_up_while_the_torque_is_out_of_reach(run, plant, controllers):
     """A step of 40 deg asks for more than the muscles have; it is not overshot by what was out of reach meanwhile."""
     for name, most in (("observer", 21.5), ("integral", 21.5), ("predictive", 23.0)):

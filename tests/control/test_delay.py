@@ -52,6 +52,7 @@ def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, 
     assert float(expected.motion[0].angle) - ANGLE == pytest.approx(state[0] - ANGLE, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_over_a_long_delay_it_knows_what_fast_valves_have_done(control, knee):
     """The pressures lag behind commands that rise steadily by the lag of the valves, but for a part of a step."""
     late = dataclasses.replace(control, command_delay=30 * ms, valve=mk.FirstOrderValve(1 * ms)).with_period(PERIOD)

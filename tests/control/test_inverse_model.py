@@ -33,6 +33,7 @@ def run(follow):
     return run
 
 
+@pytest.mark.slow
 def test_soft_loops_with_a_model_follow_a_sine_better(run, plant, control):
     with_model, alone = (np.sqrt(np.mean(off(run(plant, each)) ** 2)) for each in (control, control.loops))
     assert with_model < 0.1 * alone

@@ -46,6 +46,7 @@ def test_with_a_right_model_there_is_next_to_no_error(tracked, plant):
     assert np.abs(seen_from_outside(numeric(plant.joint), record)[0] - 15.0)[100:].max() < 0.05
 
 
+@pytest.mark.slow
 def test_without_limits_the_loop_is_the_linear_one_that_was_designed(run, plant, knee, load):
     """With d = 3 all poles are at 60 rad/s, stages of 1 ms; the stiffness has its own pole, and both do not mix."""
     control = predictive(knee, load, damping=3.0, horizon=0.012, stiffness_bandwidth=40.0)
@@ -110,6 +111,7 @@ def test_what_is_known_ahead_is_met_ahead(run, plant, knee, load):
         assert rmse(run(plant, control)) < 0.01  # a sine, also at its end
 
 
+@pytest.mark.slow
 def test_a_cost_keeps_the_angle_within_soft_limits(run, plant, knee, load):
     control = predictive(knee, load, cost=AngleLimits(-8 * deg, 8 * deg))
     angle = np.asarray(run(plant, control)[0].state.angle)[100:] / deg  # a sine of 10 deg

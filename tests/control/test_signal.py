@@ -19,6 +19,7 @@ def test_a_ramp_has_a_constant_rate_and_is_held():
     assert caught.value.field == "duration"
 
 
+@pytest.mark.slow
 def test_random_steps_hold_levels_of_their_range_for_dwells_of_theirs():
     times = np.arange(400_000) * 1e-3
     values = np.asarray(RandomSteps(-2.0, 1.0, dwell=0.2, longest_dwell=0.6, seed=5)(times))

@@ -73,6 +73,7 @@ def test_forces_at_a_lever_need_its_arm_and_torques_none(put):
         assert problem.startswith("Torque [Nm]") and remedy in problem
 
 
+@pytest.mark.slow
 def test_angles_without_a_geometry_or_beyond_it_are_asked_about(put):
     _, force, arm = muscle(2)
     path = put(table("Angle [deg];Torque [N*m];Pressure [bar]", ANGLES, force * arm, PRESSURES))

@@ -42,6 +42,7 @@ def written(folder, *, repeats=False, shared=True, still=False, resolution=0.0):
 NAMES = {"force_V": "50*(x-1) force_N"}
 
 
+@pytest.mark.slow
 def test_the_second_clock_is_estimated_from_a_force_that_both_measured(tmp_path):
     paths, (at, pressure) = written(tmp_path)
     recording = read_recording(paths, clocks="estimated", columns=NAMES, initial_length=0.2)

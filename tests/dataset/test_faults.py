@@ -112,6 +112,7 @@ def test_a_slow_creep_and_weights_that_are_typed_in_are_no_faults():
     assert len(record.plateaus().dataset) == 21
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "begin"), [("pressure", 0.2), ("contraction", 0.55), ("force", 0.2)])
 def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     samples = Samples()
@@ -128,6 +129,7 @@ def test_the_plateaus_of_a_stuck_sensor_are_lost(name, begin, tmp_path):
     assert "is stuck" in data.table.attrs["preprocessing"]
 
 
+@pytest.mark.slow
 def test_loops_of_which_too_much_is_lost_say_that_there_is_no_friction(tmp_path):
     samples = Samples("loops")
     stuck(samples, "force", 0.02, 234)

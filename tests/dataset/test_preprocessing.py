@@ -83,6 +83,7 @@ def test_the_slack_force_is_found_from_its_noise(noise, offset, largest):
     assert found.noise == pytest.approx(noise, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [-0.5, 0.0, 0.5])
 def test_a_reading_that_is_never_negative_hides_no_slack_muscle(written, offset):
     for seed in range(3):
@@ -216,6 +217,7 @@ def test_passes_need_reversals_at_most_points_and_not_at_most_pressures():
     assert direction[[5, 35, 45, 55, 95]].tolist() == ["unloading", "loading", "unloading", "loading", "loading"]
 
 
+@pytest.mark.slow
 def test_points_without_levels_have_blocks_all_the_same(written):
     pressure, contraction, force, _ = measured(scatter=0.3)
     data = read(written(pressure, contraction, force))

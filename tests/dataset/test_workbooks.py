@@ -42,6 +42,7 @@ def marked(cell: str, *above: tuple[str, ...], **marks: object) -> bytes:
     return saved(book)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "content",
     [
@@ -103,6 +104,7 @@ def loads(titles: list[str], note: str = "") -> bytes:
     return saved(book)
 
 
+@pytest.mark.slow
 def test_sheets_with_a_load_each_are_one_test(put):
     path = put(loads(["300N", "600N", "900N"]), "rig.xlsx")
     (problem,) = problems_of(path)

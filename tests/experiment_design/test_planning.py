@@ -160,6 +160,7 @@ def test_its_points_can_be_measured(martens, fit, specimen):
     assert all(0 <= p.contraction <= 0.1 for p in limited.points)
 
 
+@pytest.mark.slow
 def test_one_direction_alone_does_not_tell_friction_from_force(law, as_printed):
     data = fit_law(ExponentialLaw, made(law, ["loading"]))
     for quantity in (Coefficient("a1"), JointStiffness(as_printed, 5 * deg), Force()):

@@ -25,7 +25,6 @@ from mckibben.serial_protocol import FaultCode, FirmwareState
 pytestmark = pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")
 REPLAYED = {
     "PID": Hardware(),
-    "BP": Hardware(limits=Limits(lowest_angle=-0.7, highest_angle=0.7)),  # not tuned, it is unstable: -0.59 rad
     "decoupling, friction fed forward": Hardware(),
     "predictive": Hardware(),
     "sliding mode": Hardware(single=True),
@@ -77,17 +76,21 @@ def faulty(samples, faults=2_500, seed=1):
     return rows, bad
 
 
-def outputs_in_c(folder, period, options, rows, number):
+def program_in_c(folder, period, options, number):
     """Commands, status and fault of each row by the exported program."""
     assign = [f"{name} = ({'double' if 'setpoint' in name else number})row[{i}];" for i, name in enumerate(INPUTS)]
-    words = {"ROW": str(rows.shape[1]), "PERIOD": repr(period), "NUMBER": number, "ASSIGN": " ".join(assign)}
+    words = {"ROW": str(len(INPUTS) + 1), "PERIOD": repr(period), "NUMBER": number, "ASSIGN": " ".join(assign)}
     program = re.sub(rf"\b({'|'.join(words)})\b", lambda match: words[match[1]], FAULTS)
     (folder / "faults.c").write_text(program)
     command = [compiler(), *options, "-O1", "-fsanitize=address,undefined", "-o", "faults", "faults.c", "knee.c", "-lm"]
     subprocess.run(command, cwd=folder, check=True)
-    done = subprocess.run(["./faults"], cwd=folder, input=rows.tobytes(), capture_output=True)
-    assert (done.returncode, done.stderr) == (0, b"")
-    return np.frombuffer(done.stdout).reshape(-1, 4)
+
+    def outputs(rows):
+        done = subprocess.run(["./faults"], cwd=folder, input=rows.tobytes(), capture_output=True)
+        assert (done.returncode, done.stderr) == (0, b"")
+        return np.frombuffer(done.stdout).reshape(-1, 4)
+
+    return outputs
 
 
 def program_in_python(source):
@@ -112,13 +115,10 @@ def program_in_python(source):
     return outputs
 
 
-def check_faults(folder, scenario, options, hardware, compared=None):
-    """No command is not finite or outside its limits, a lasting fault vents, and Python computes the same.
-
-    Commands are compared over the first periods, if their number is given; status and faults over all.
-    """
+def check_faults(folder, scenario, options, hardware):
+    """No command is not finite or outside its limits, a lasting fault vents, and Python computes the same."""
     rows, bad = faulty(np.genfromtxt(folder / "replay.csv", delimiter=",", skip_header=2)[:, : len(INPUTS)])
-    found = outputs_in_c(folder, scenario.control_period, options, rows, "float" if hardware.single else "double")
+    found = program_in_c(folder, scenario.control_period, options, "float" if hardware.single else "double")(rows)
     highest = max(muscle.specimen.domain.pressure_max for muscle in scenario.plant().muscles)
     assert np.all((found[:, :2] >= 0) & (found[:, :2] <= highest))
     periods = round(0.1 / scenario.control_period)
@@ -129,7 +129,7 @@ def check_faults(folder, scenario, options, hardware, compared=None):
     if not hardware.single:
         expected = np.asarray(program_in_python(controller_functions(scenario, hardware.limits))(rows))
         assert np.array_equal(found[:, 2:], expected[:, 2:])
-        assert np.max(np.abs(found - expected)[:compared]) < 1e-6 * highest
+        assert np.max(np.abs(found - expected)) < 1e-6 * highest
 
 
 @pytest.mark.parametrize("name", REPLAYED)
@@ -140,9 +140,8 @@ def test_it_repeats_the_recorded_run_and_contains_faults(board, scenarios, name,
     done = subprocess.run(["./replay", "replay.csv", "0"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if REPLAYED[name].single else 1e-11)
     assert "not used" not in done.stdout
-    learning = 300 if name == "BP" else None  # its weights diverge with these gains, which amplifies rounding
     if name not in NO_FAULTS:
-        check_faults(tmp_path, scenarios[name], board.STRICT, REPLAYED[name], learning)
+        check_faults(tmp_path, scenarios[name], board.STRICT, REPLAYED[name])
 
 
 @pytest.mark.slow
@@ -195,6 +194,7 @@ def test_a_fault_that_comes_and_goes_vents_if_it_takes_half_of_the_samples(board
     export(scenario, "c", tmp_path, name="knee")
     samples = np.genfromtxt(tmp_path / "replay.csv", delimiter=",", skip_header=2)[:, : len(INPUTS)]
     period, outputs = scenario.control_period, program_in_python(controller_functions(scenario))
+    in_c = program_in_c(tmp_path, period, board.STRICT, "double")
     times, draw = np.arange(round(2.0 / period)) * period, np.random.default_rng(1)
     faulty_rows = []
     for bad, good in DUTY:
@@ -205,7 +205,7 @@ def test_a_fault_that_comes_and_goes_vents_if_it_takes_half_of_the_samples(board
             rows[kinds, which] = 1 if which == 5 else np.nan
         faulty_rows.append(rows)
     for rows, within in zip(faulty_rows, DUTY.values(), strict=True):
-        status, commands = (found := outputs_in_c(tmp_path, period, board.STRICT, rows, "double"))[:, 2], found[:, :2]
+        status, commands = (found := in_c(rows))[:, 2], found[:, :2]
         assert np.array_equal(found[:, 2:], np.asarray(outputs(rows))[:, 2:])
         vented = times[status == VENTED]
         if within is None:
@@ -242,15 +242,15 @@ def test_all_compile_without_warnings(board, scenarios, tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no arm-none-eabi-gcc")
 def test_it_fits_a_cortex_m7_and_runs_there(board, scenarios, tmp_path):
-    export(scenarios["PID"], "c", tmp_path, name="knee")
+    linked = []
+    for single in (True, False):
+        hardware = Hardware(single=single)
+        export(scenarios["PID"], "c", tmp_path, name="knee", hardware=hardware, overwrite=True)
+        linked.append([board.linked(tmp_path, processor, "knee") for processor in ("M4F", "M0+")])
+    assert (np.array(linked[0]) < 0.85 * np.array(linked[1])).all(), linked
     size = board.footprint(tmp_path, "knee")
     assert 1000 < size.code < 16_000
     assert 8 < size.stack < 1024
-    double = {processor: board.linked(tmp_path, processor, "knee") for processor in board.PROCESSORS}
-    export(scenarios["PID"], "c", tmp_path, name="knee", hardware=Hardware(single=True), overwrite=True)
-    single = {processor: board.linked(tmp_path, processor, "knee") for processor in board.PROCESSORS}
-    assert all(single[processor] < 0.85 * double[processor] for processor in ("M4F", "M0+")), (single, double)
-    export(scenarios["PID"], "c", tmp_path, name="knee", overwrite=True)
     if shutil.which(board.EMULATOR):
         assert board.replayed(tmp_path, "knee", steps=20_000).deviation < 1e-12
 

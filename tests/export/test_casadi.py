@@ -78,6 +78,7 @@ def test_a_scenario_gives_the_rate_and_the_steps_of_its_plant(scenario, plant):
     close(made.functions["differentiate"](numbers[0], [*commands, 0.3], 0.5), wanted)
 
 
+@pytest.mark.slow
 def test_a_rate_is_differentiable(scenario):
     functions = casadi_plant(scenario).functions
     x, u = casadi.SX.sym("x", 4), [3e5, 3e5, 0.0]
@@ -100,6 +101,7 @@ def test_friction_and_creep_slip_after_a_step(knee, load):
     close(found, np.array(jax.tree.leaves(following)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wall", [None, 0.3])
 def test_air_of_flow_valves(knee, load, wall):
     plant = mk.JointPlant(knee, load, mk.FlowValve(conductance=1e-9, supply=7e5, wall_conductance=wall))

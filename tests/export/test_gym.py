@@ -66,6 +66,7 @@ def test_it_passes_the_check_of_gymnasium_without_a_warning(env):
         check_env(env, skip_render_check=True)
 
 
+@pytest.mark.slow
 def test_spaces_have_units(env):
     assert len(env.metadata["observation_units"]) == env.observation_space.shape[0]
     assert env.metadata["observation_units"]["reference_stiffness"] == "N*m/rad"
@@ -281,6 +282,7 @@ def test_robots_without_a_start_are_left_out(knee, masses, rows):
         assert caught.value.field == "start"
 
 
+@pytest.mark.slow
 def test_gymnasium_makes_both_by_their_id():
     scenario = "examples/pre-contracted-step-pid.yaml"
     name = "mckibben.export.gym:mckibben/Joint-v0"

@@ -228,6 +228,7 @@ def test_a_return_spring_needs_no_command(runs):
         assert data.qfrc_actuator[0] == pytest.approx(wanted, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_mass_on_a_slope_accelerates_as_it_should(runs):
     plants, models = runs
     model = mujoco.MjModel.from_xml_string(models["slide"].xml)

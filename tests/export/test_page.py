@@ -80,6 +80,18 @@ def test_the_page_computes_what_python_does(page, values, knows):
 
 @pytest.mark.slow
 @pytest.mark.skipif(NODE is None, reason="needs Node, which runs the emitted JavaScript")
+def test_the_page_of_a_slide_computes_what_python_does(tmp_path):
+    scenario = Scenario.read("examples/linear-axis.yaml").model_copy(update={"duration": 0.5})
+    export(scenario, "page", tmp_path, over=["load.mass=1..3 kg", "reference.position.amplitude=1..8 mm"])
+    values = {"load.mass": 1.2, "reference.position.amplitude": 0.006}
+    found = computed(tmp_path / "page.html", values, knows=False)
+    run = with_values(scenario, values, model_follows=()).run_once()
+    np.testing.assert_allclose(np.array(found["columns"]["angle"], float), run["angle"], atol=1e-12)
+    assert found["outcome"] == run.outcome.name and found["metrics"]["stiffness_rmse"] == ["NaN"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(NODE is None, reason="needs Node, which runs the emitted JavaScript")
 def test_a_start_that_cannot_be_held_is_said(page):
     _, path = page
     found = computed(path, {"reference.angle.amplitude": 1.0}, knows=False)
@@ -116,7 +128,7 @@ def test_robots_unclear_sliders_and_other_formats_are_refused(tmp_path):
     scenario = Scenario.read(LABORATORY)
     with pytest.raises(ExportError) as error:
         export(RobotScenario.read("examples/robot/lei-leg-control.yaml"), "page", tmp_path)
-    assert error.value.field == "joint"
+    assert error.value.field == "joints"
     with pytest.raises(ExportError) as error:
         export(scenario, "c", tmp_path, over=SLIDERS)
     assert error.value.field == "over"

@@ -84,6 +84,7 @@ def test_each_command_of_the_first_day_runs(tmp_path, monkeypatch, capsys):
     for path in (ROOT / "examples" / "first-day").iterdir():
         shutil.copy(path, tmp_path)
     change("bench.yaml", {"dwell: 1 s": "dwell: 40 ms", "500 ms": "100 ms", "samples: 500": "samples: 25"})
+    change("bench.yaml", {"rate: 2 bar/s": "rate: 10 bar/s"})
     change("bench.yaml", {"MAS-10-180N-AA-MC-O}": "MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"})
     change("bench.yaml", {"{cycle: 40 ms}": "{cycle: 40 ms, steady: 200 ms}", "gap: 3 s": "gap: 3 s, settling: 30 s"})
     quick = "approach: {probing: 1 s, raising: 500 ms, settling: 500 ms}\n"
@@ -112,7 +113,7 @@ def test_each_command_of_the_first_day_runs(tmp_path, monkeypatch, capsys):
             if arguments[0] in ("export", "calibrate"):
                 board.flash()
             if arguments[0] == "new":
-                change(arguments[2], {"control_period: 1 ms": "control_period: 4 ms"})
+                change(arguments[2], {"control_period: 1 ms": "control_period: 4 ms", "duration: 4 s": "duration: 2 s"})
         fitted = read_component(Muscle, Path("fit/muscle.yaml"))
         contraction, pressure = np.array([0.05, 0.1, 0.15]), np.array([3.0, 4.0, 5.0]) * bar
         np.testing.assert_allclose(

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import brentq, least_squares
 
 from mckibben.dataset import IsobaricDataset, Recording, read_dataset
+from mckibben.dataset.checks import questions_of
 from mckibben.errors import DomainWarning, IdentificationError
 from mckibben.identification import (
     FrictionForm,
@@ -180,6 +181,7 @@ def test_friction_that_falls_with_contraction_leaves_both_branches():
     columns = zip(("pressure", "contraction", "force", "direction"), zip(*rows, strict=True), strict=True)
     columns = {name: np.array(values) for name, values in columns}
     data = IsobaricDataset.of(**columns, initial_length=1.0, slack_force=0.0)
+    assert questions_of(data, np.arange(len(data))) == []
     found = identify_with_friction(ExponentialLaw, data).hysteresis
     assert found.points_left_out <= 2 * 4
     assert 45 < found.friction.half_width < 70 and found.friction.growth < 0
@@ -255,6 +257,7 @@ def test_directions_follow_from_the_order_of_the_rows_at_each_load(tmp_path):
     assert np.count_nonzero(~same) <= 4  # the first row after each reversal, where the muscle still shortens
 
 
+@pytest.mark.slow
 def test_residuals_are_those_of_the_measured_contraction():
     """As by least squares of the contractions, where the law gives the set load, and not as those of the force."""
     data = hanging_weights(0.0, noise=1e-3)
@@ -350,4 +353,4 @@ def test_the_files_hold_the_same_table(table, tmp_path):
     ).stdout.split()
     ours = [float(table.pressure_for(eps, load, ("unloading", "loading")[way])) for eps, load, way in places]
     assert 0.1 < np.mean(np.isnan(ours)) < 0.9
-    np.testing.assert_allclose(np.array(answers, float), ours, rtol=1e-12)
+    np.testing.assert_allclose(np.array(answers, float), ours, rtol=2e-5)  # six digits

@@ -58,6 +58,7 @@ def test_share_and_time_constant_are_in_their_intervals(share, time_constant):
     assert "share of" in found.verdict()
 
 
+@pytest.mark.slow
 def test_one_recording_at_several_lengths_and_separate_ones_give_the_same():
     first, second = recordings_at(noise=0.01)
     columns = {

@@ -80,6 +80,7 @@ def test_a_design_that_gives_no_law_is_refused(law, test, fields):
     assert error.value.remedy
 
 
+@pytest.mark.slow
 def test_one_load_is_never_taken_for_a_law():
     """By chance, slopes of pure noise have the right signs: their share of the variance tells them apart."""
     for seed in range(300):

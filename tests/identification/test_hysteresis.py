@@ -137,6 +137,7 @@ def model(drifting):
     )
 
 
+@pytest.mark.slow
 def test_the_force_along_the_way_is_that_of_the_rig(model):
     quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
     own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)

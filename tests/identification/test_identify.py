@@ -50,6 +50,7 @@ def test_a_single_wrong_force_is_named_and_left_out(row, shift):
     assert any(f"row {row + 1}" in warning for warning in texts(fit))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [0.88, 10.0])
 def test_a_wrong_number_changes_no_coefficient_by_more_than_its_standard_error(wrong):
     """12 % too little, and a decimal slip."""
@@ -214,6 +215,7 @@ def test_a_singular_design_names_what_it_does_not_determine(pressures, contracti
 # --- what is said, not hidden -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_parameter_at_its_bound_is_said():
     law = ChouLaw(54.6 * deg, 10 * mm)  # beyond the 54 deg of the range
     contractions = np.linspace(-0.5, -0.2, 20)
@@ -287,7 +289,8 @@ def test_terms_that_cancel_in_a_narrow_window_are_no_error(kind, window, tmp_pat
     found = fit_law(kind, data)
     assert found.rmse < 0.02 * data.force.max()
     found.to_yaml(tmp_path / "fit.yaml")
-    assert Fit.from_yaml(tmp_path / "fit.yaml").law == found.law
+    read = Fit.from_yaml(tmp_path / "fit.yaml").predict(data.contraction, data.pressure)
+    np.testing.assert_allclose(read, found.predict(data.contraction, data.pressure), atol=0.01 * found.rmse)
 
 
 @pytest.mark.parametrize("size", [0.0, 40.0])

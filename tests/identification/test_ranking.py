@@ -215,6 +215,7 @@ def test_laws_are_ranked_with_the_friction_that_a_fit_of_them_alone_finds(with_f
     assert with_friction.ok
 
 
+@pytest.mark.slow
 def test_a_law_that_fell_back_to_another_is_not_ranked_under_its_own_name(with_friction):
     smooth = entry_of(with_friction, OURS.__name__)
     assert smooth.fit is None and "Eq. 2" in smooth.refused

@@ -59,6 +59,7 @@ def test_a_deviation_at_low_pressure_does_not_spoil_the_extrapolation(seed, scat
     assert ours < 1.05 * theirs
 
 
+@pytest.mark.slow
 def test_few_points_with_much_noise_are_no_deviation():
     found = [
         type(fit_law(SmoothLaw, measured(0.0, 3.0, seed).select(np.arange(45) % 9 % 2 == 0)).law) for seed in range(6)

@@ -1,4 +1,4 @@
-import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ScenarioError
 from mckibben.identification import Fit, fit_law, read_law
-from mckibben.muscle import Domain, ExponentialLaw, Parameter, PressureAffineLaw, SmoothLaw
+from mckibben.muscle import Domain, ExponentialLaw, Parameter, PressureAffineLaw, SmoothLaw, forces
 from mckibben.units import bar, deg, mm
 
 
@@ -16,30 +16,36 @@ def fit() -> Fit:
     return fit_law(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
 
 
-def same(a: Fit, b: Fit) -> None:
-    for field in dataclasses.fields(Fit):
-        if field.name == "correlations":
-            np.testing.assert_array_equal(a.correlations, b.correlations)
-        elif field.name == "standard_errors":
-            np.testing.assert_array_equal(list(a.standard_errors.values()), list(b.standard_errors.values()))
-            assert list(a.standard_errors) == list(b.standard_errors)
-        elif field.name not in ("residuals", "regression"):  # compared by the intervals
-            assert getattr(a, field.name) == getattr(b, field.name), field.name
-
-
-def test_every_number_comes_back_exactly(fit, tmp_path):
+@pytest.mark.parametrize("law", [ExponentialLaw, pytest.param(SmoothLaw, marks=pytest.mark.slow)])
+def test_a_file_gives_the_same_force_and_intervals_with_the_digits_that_the_residuals_justify(law, tmp_path):
+    fit = fit_law(law, catalog.dataset("dmsp-10-250-martens2017"))
+    assert type(fit.law) is law
     fit.to_yaml(tmp_path / "fit.yaml")
-    again = Fit.from_yaml(tmp_path / "fit.yaml")
-    same(fit, again)
-    np.testing.assert_array_equal(again.residuals, fit.residuals)
-    assert again.robust == fit.robust
-    assert fit.robust.groups == 16
-    assert again.intervals() == fit.intervals()
-    assert again.to_text(details=True) == fit.to_text(details=True)
-    assert read_law(tmp_path / "fit.yaml") == fit.law
-    assert np.sqrt(np.diag(again.robust_covariance)) == pytest.approx(list(fit.robust.standard_errors.values()))
-    text = (tmp_path / "fit.yaml").read_text()
-    assert "a2: 92.52" in text
+    again, points = Fit.from_yaml(tmp_path / "fit.yaml"), fit.require_regression().points
+    assert read_law(tmp_path / "fit.yaml") == again.law
+    np.testing.assert_allclose(again.residuals, fit.residuals, atol=0.01 * fit.rmse)
+    np.testing.assert_allclose(again.correlations, fit.correlations, atol=1e-5)
+    assert again.robust.groups == fit.robust.groups == 16 and again.notes == fit.notes
+    for ours, theirs in ((again, fit), (again.robust, fit.robust)):
+        assert ours.standard_errors == pytest.approx(theirs.standard_errors, rel=1e-5)
+    ours, theirs = (one.force_intervals([0.0, 0.03, 0.1], 4 * bar) for one in (again, fit))
+    for name in ("confidence", "prediction"):
+        ends = (getattr(one, name).upper for one in (ours, theirs))
+        np.testing.assert_allclose(*ends, atol=0.01 * fit.rmse)
+    again.to_yaml(tmp_path / "again.yaml")
+    assert read_law(tmp_path / "again.yaml") == again.law
+    written = re.findall(r"-?\d\.?\d*e?-?\d*", (tmp_path / "fit.yaml").read_text().split("equation:")[0])
+    assert np.mean([len(number.lstrip("-").replace(".", "")) for number in written]) < 7
+    assert points.pressure.tolist() == again.require_regression().points.pressure.tolist()
+
+
+def test_a_fit_without_noise_keeps_its_digits(tmp_path):
+    pressure, contraction = (values.ravel() for values in np.meshgrid(np.arange(1, 7) * bar, np.linspace(0, 0.2, 9)))
+    law = ExponentialLaw(1 / 3, 2e-3 / 3, 200 / 3, -2e-3, 40 / 3, 1e-4 / 3, decay=20 / 3)
+    data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=forces(law, contraction, pressure))
+    fit = fit_law(ExponentialLaw, data)
+    fit.to_yaml(tmp_path / "fit.yaml")
+    assert Fit.from_yaml(tmp_path / "fit.yaml").estimates == pytest.approx(fit.estimates, rel=1e-8)
 
 
 def test_repeats_and_directions_of_the_points_come_back(tmp_path):
@@ -55,18 +61,6 @@ def test_repeats_and_directions_of_the_points_come_back(tmp_path):
         np.testing.assert_array_equal(points.table[name], fit.require_regression().points.table[name])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("law", [ExponentialLaw, SmoothLaw])
-def test_a_file_gives_the_same_intervals(law, tmp_path):
-    fit = fit_law(law, catalog.dataset("dmsp-10-250-martens2017"))
-    assert type(fit.law) is law
-    fit.to_yaml(tmp_path / "fit.yaml")
-    again = Fit.from_yaml(tmp_path / "fit.yaml")
-    ours, theirs = (one.force_intervals([0.0, 0.03, 0.1], 4 * bar) for one in (again, fit))
-    np.testing.assert_allclose(ours.confidence.upper, theirs.confidence.upper, rtol=1e-7)
-    np.testing.assert_allclose(ours.prediction.upper, theirs.prediction.upper, rtol=1e-7)
-
-
 def test_outliers_come_back(tmp_path):
     good = catalog.dataset("festo-tool-10mm")
     force = good.force.copy()
@@ -74,7 +68,8 @@ def test_outliers_come_back(tmp_path):
     fit = fit_law(ExponentialLaw, IsobaricDataset(good.table.assign(force=("point", force))))
     assert len(fit.outliers) == 1
     fit.to_yaml(tmp_path / "fit.yaml")
-    assert Fit.from_yaml(tmp_path / "fit.yaml").outliers == fit.outliers
+    (back,), (outlier,) = Fit.from_yaml(tmp_path / "fit.yaml").outliers, fit.outliers
+    assert back.place == outlier.place and back.force == pytest.approx(outlier.force, rel=1e-5)
 
 
 def test_a_law_written_by_hand(tmp_path):

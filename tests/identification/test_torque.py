@@ -38,6 +38,7 @@ VENTED = [(0.0, 3.0), (0.0, 4.5), (0.0, 6.0), (3.0, 0.0), (4.5, 0.0), (6.0, 0.0)
 BOTH = [(a, b) for a in (3.0, 4.0, 5.0, 6.0) for b in (3.0, 4.5, 6.0)]
 
 
+@pytest.mark.slow
 def test_law_and_both_kinds_of_friction_where_the_moment_arms_vary(tmp_path):
     table = read_torques(torques(tmp_path, KNEE, [*VENTED, *BOTH]), geometry=KNEE)
     fit = identify_torque(ExponentialLaw, table, KNEE, initial_length=LENGTH)
@@ -57,6 +58,7 @@ def test_a_muscle_that_is_slack_separates_the_friction_of_pulleys(tmp_path):
     assert fit.estimates["joint_friction"] == pytest.approx(JOINT, rel=0.2)
 
 
+@pytest.mark.slow
 def test_what_the_torque_does_not_show_is_refused_or_said(tmp_path):
     """A force that two muscles on equal pulleys have alike; friction of a motion in one direction."""
     taut = [(5.0, 5.0), (5.0, 6.0), (6.0, 5.0), (5.5, 6.0), (6.0, 5.5), (6.0, 6.0)]

@@ -38,6 +38,7 @@ def test_friction_is_fitted_where_loading_and_unloading_differ(rig):
     assert found.note
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [None, False])
 @pytest.mark.parametrize("wrong", [0.0, 60.0])
 def test_all_points_are_used_slack_or_left_out(rig, friction, wrong):
@@ -99,6 +100,7 @@ def steps_of_pressure(half_width: float, *, left: float = 1.0, seed: int = 0) ->
     return mk.IsobaricDataset.of(**columns, initial_length=180 * mm)
 
 
+@pytest.mark.slow
 def test_at_fixed_lengths_the_friction_stays_as_the_last_motion_left_it():
     found = identify_with_friction(ExponentialLaw, steps_of_pressure(8.0))
     error = found.hysteresis.standard_errors["half_width"]

@@ -75,6 +75,7 @@ def test_pressures_that_are_no_pair_are_refused(method):
         np.testing.assert_allclose(jax.tree.leaves(method(knee, right)), expected, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "call",
     [

@@ -70,6 +70,7 @@ def test_rigid_tendon(knee, paper_precontracted, index, degrees, held):
     assert got > float(isobaric(knee, angle, held))
 
 
+@pytest.mark.slow
 def test_a_secant_over_three_degrees(knee, paper_precontracted):
     held, amplitude = (4e5, 2.5e5), math.radians(3)
     secant = jax.jit(lambda joint: joint.secant_stiffness(0.1, held, amplitude, polytropic_index=1.4, dead_volume=5e-6))

@@ -27,6 +27,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", WRONG)
 def test_a_law_that_no_muscle_has_is_named_where_it_enters_and_with_its_joint(words):
     with pytest.warns(McKibbenWarning, match=f"'mine'.*{words}"):
@@ -40,6 +41,7 @@ def test_a_muscle_whose_spring_stiffens_or_softens_under_pressure_is_right(sprin
     assert joint_of(law).remarks == []
 
 
+@pytest.mark.slow
 def test_why_nothing_holds_the_joint_is_its_law():
     with pytest.warns(McKibbenWarning):
         joint = joint_of(WRONG["falls with pressure"])

@@ -32,6 +32,7 @@ def test_the_torque_is_that_of_muscle_and_spring(side):
     np.testing.assert_allclose(joint.torque(angle, pressures), expected, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [1, 2])
 def test_a_torque_has_one_stiffness(side):
     joint, torque = JOINTS[side], 1.0 if side == 1 else -1.0
@@ -55,6 +56,7 @@ def test_what_is_no_joint_is_refused():
             Scenario.parse(text.replace(old, new))
 
 
+@pytest.mark.slow
 def test_a_spring_of_another_rate_has_no_pressure_either():
     joint = dataclasses.replace(JOINTS[1], muscle1=dataclasses.replace(SPRING, strength=1.1))
     pressures = joint.pressures_for(0.05, 1.0, None)

@@ -40,6 +40,7 @@ def torque_along(paper, angles):
     return torque
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [0.0, 8.0])
 def test_it_is_that_between_the_reversals_of_a_slow_cycle(knee, paper_precontracted, degrees):
     found = np.asarray(secant(with_friction(knee), degrees * deg, AMPLITUDES))

@@ -38,6 +38,7 @@ def released(joint, load, pressure, start):
     return mk.simulate(plant, control, reference, initial=plant.init_state(start, (0.0, pressure)), **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("incline", [0.0, 90 * deg])
 def test_a_mass_between_spring_and_linear_muscle_oscillates_in_closed_form(incline):
     joint = mk.AntagonisticJoint(Slide(150 * mm, 190 * mm), SPRING, LINEAR)
@@ -51,6 +52,7 @@ def test_a_mass_between_spring_and_linear_muscle_oscillates_in_closed_form(incli
     np.testing.assert_allclose(run["stiffness"], stiffness, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_muscle_that_lifts_a_weight_moves_as_by_scipy():
     joint = mk.AntagonisticJoint(Slide(rest_length2=165 * mm), no_muscle(), REAL)
     run = released(joint, SlidingMass(5 * kg, 200.0, 90 * deg), 4 * bar, 0.0)
@@ -183,6 +185,7 @@ def test_a_single_muscle_has_no_impedance():
     assert problem.field == "controller.impedance" and problem.remedy
 
 
+@pytest.mark.slow
 def test_a_controller_of_one_muscle_has_finite_inputs_for_an_fmu():
     setpoint = controller_functions(mk.Scenario.parse(AXIS)).setpoint
     assert (setpoint.angle, setpoint.stiffness) == pytest.approx((4 * mm, 0.0))
@@ -214,5 +217,5 @@ def test_the_stiffness_of_a_slide_in_service_is_in_its_unit():
     stiffness, deviation, none = np.array([[12e3]]), np.array([[100.0]]), np.empty((1, 0))
     service = Service(np.array([2.0]), stiffness, deviation, stiffness, 9 * deviation, none, none, (("",), ()), SLIDE)
     assert "12 +- 0.2 N/mm" in service.verdict()
-    column, values = service.listing().columns["stiffness"]
+    column, values = service.listing().for_joint(SLIDE).columns["stiffness"]
     assert (column.shown_unit, values[0] / column.size) == ("N/mm", 12.0)

@@ -41,6 +41,7 @@ def solved(paper, path, pressure, spring=SPRING):
     return spring.travel if excess(spring.travel) >= 0 else brentq(excess, 0, spring.travel, xtol=1e-15, rtol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "spring", [SeriesSpring(1e3, 0.0, 0.1), SeriesSpring(2e3, 0.0, 0.05), SeriesSpring(1e5, 10.0, 0.01)]
 )
@@ -63,6 +64,7 @@ def test_pressure_for_inverts_tension(muscle):
     np.testing.assert_allclose(SPRING.pressure_for(muscle, paths, tension), pressures, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_stiffness_is_minus_the_slope_of_the_torque_in_all_regimes(springy, torque_and_stiffness):
     angle = np.radians([-12.0, -4.0, 0.5, 9.0])[:, None]
     held = (np.array([0.3e5, 1.5e5, 5e5]), np.array([0.2e5, 2e5, 4e5]))
@@ -71,6 +73,7 @@ def test_stiffness_is_minus_the_slope_of_the_torque_in_all_regimes(springy, torq
     np.testing.assert_allclose(torque_and_stiffness(angle, held)[1], -slope, rtol=2e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiff", [RIGID, SeriesSpring(1e4, 1e6, 0.01), SeriesSpring(1e4, 0.0, 0.0)])
 def test_a_spring_that_does_not_give_is_a_rigid_tendon(as_printed, stiff):
     held = (2e5, 3e5)

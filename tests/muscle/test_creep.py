@@ -84,6 +84,7 @@ def test_the_muscle_never_pushes(specimen, law):
 SHARED = MaxwellCreep(800.0, 4.0, pressure_share=0.08, pressure_time_constant=2.5)
 
 
+@pytest.mark.slow
 def test_a_step_of_the_pressure_arrives_in_part_and_the_rest_as_an_exponential(specimen, law):
     """Closed form: the delayed pressure is y = p1 - (p1 - p0) exp(-t/tau), and the share sees the law there."""
     muscle = Muscle(specimen, law, creep=SHARED)

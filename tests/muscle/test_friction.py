@@ -105,6 +105,7 @@ def test_the_virgin_curve_is_next_to_an_exponential(elements, off):
     assert friction.shares.sum() == pytest.approx(1) and np.all(friction.stiffnesses > 0)
 
 
+@pytest.mark.slow
 def test_the_band_grows_with_pressure_and_ends_at_none():
     np.testing.assert_allclose(FRICTION.half_width_at(FAR, np.array([0, 3, 6]) * bar), [9, 12, 15])
     shrinking = MaxwellSlip(2.0, 1e-3, growth=-1 / bar)
@@ -126,6 +127,7 @@ def test_viscous_friction_is_linear_until_the_muscle_would_push():
     assert float(PLAIN.viscous_force(0.2, 400.0, 3e5, 0.1)) == 0.0
 
 
+@pytest.mark.slow
 def test_a_lifted_mass_follows_the_three_element_model():
     """D. B. Reynolds et al., Annals of Biomedical Engineering 31 (2003): 20 kg at 300 kPa, from 10 mm at rest."""
     domain = Domain(pressure_max=7 * bar)

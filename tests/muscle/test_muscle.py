@@ -22,6 +22,7 @@ def test_a_muscle_never_pushes(muscle, law):
     np.testing.assert_array_equal(force, np.maximum(fitted, 0))
 
 
+@pytest.mark.slow
 def test_a_slack_muscle_has_no_slope_and_a_taut_one_that_of_its_law(muscle, law):
     assert float(muscle.slope(0.05, 0.0)) == 0.0
     assert float(muscle.slope(0.05, 5e5)) == pytest.approx(float(law.slope(0.05, 5e5)), rel=1e-14)

@@ -48,6 +48,7 @@ def test_the_motion_is_that_of_late_commands(plant, late, playback, start, comma
     assert run["command1"] == pytest.approx(commands[0])  # those that are sent
 
 
+@pytest.mark.slow
 def test_between_two_periods_it_is_their_mean(late, playback, start):
     """A step of the command: closed form of a first-order lag under it, whose error is of second order."""
     delay, low, high = 3.4 * PERIOD, float(start.pressures[0]), float(start.pressures[0]) + 0.5 * bar

@@ -52,6 +52,7 @@ def test_between_two_periods_it_begins_with_the_next():
     )
 
 
+@pytest.mark.slow
 def test_a_push_speeds_up_a_joint_at_rest_by_torque_over_inertia(knee, playback):
     """Slack muscles, no gravity, no damping: each step of the integration is exact."""
     load = KneeLoad(mass1=0.5, mass2=0.5, distance1=0.1, distance2=0.2, inertia=0.02, damping=0.0, gravity=0.0)

@@ -78,6 +78,7 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
     return np.array(angles)
 
 
+@pytest.mark.slow
 def test_it_moves_as_in_tiny_steps_of_plain_python(with_slip, playback, short_episode, paper_precontracted):
     plant = eqx.tree_at(lambda plant: plant.load.damping, with_slip, jnp.asarray(0.02))
     start = numeric(plant.complete_state(PlantState(*map(jnp.asarray, (math.radians(12), 0.5)), (P1, P2))))

@@ -60,6 +60,7 @@ def test_the_loop_of_a_reversal_has_the_area_of_coulomb_friction():
     assert travel == pytest.approx(amplitude, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_amplitude_of_a_pendulum_falls_by_the_same_in_every_cycle(swing):
     angle = np.asarray(swing(0.15).angle)
     peaks = angle[1:-1][(angle[1:-1] > angle[:-2]) & (angle[1:-1] >= angle[2:])]

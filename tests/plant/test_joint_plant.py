@@ -37,6 +37,7 @@ def test_at_rest_the_stiffness_is_the_one_asked_for_or_the_middle(plant):
     assert float(plant.joint.stiffness(0.1, middle.pressures)) == pytest.approx(float(low + high) / 2, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("valve", [FirstOrderValve(0.02, supply=3.5 * bar), FlowValve(4e-9, 3.5 * bar)])
 def test_a_low_supply_limits_commands_start_and_attainable_stiffness(plant, valve):
     low = JointPlant(plant.joint, plant.load, valve)

@@ -55,6 +55,7 @@ def mover(plant, commands):
     return angles_after
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("muscle", "valve", "friction", "smooth"),
     [

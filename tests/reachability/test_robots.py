@@ -103,6 +103,7 @@ def test_a_neck_attains_its_references_together_or_not():
     assert found.joints["side"].static.limits[0][0].split(" at ")[0] in scenario.muscle_names
 
 
+@pytest.mark.slow
 def test_a_stiffness_out_of_range_has_a_remark_with_what_would_be_feasible():
     found = RobotScenario.parse(ONE.replace("after: 16 N*m/rad", "after: 30 N*m/rad") + TORQUE).envelope()
     assert not found.joints["knee"].feasible and "knee" in found.verdict()

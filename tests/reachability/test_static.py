@@ -12,6 +12,7 @@ from mckibben.simulation import check_reference
 from mckibben.units import bar, deg
 
 
+@pytest.mark.slow
 def test_static_envelope_over_the_angle(plant, paper_precontracted):
     found = static_envelope(plant)
     assert (found.angle_min / deg, found.angle_max / deg) == pytest.approx((-36.49, 38.57), abs=0.01)

@@ -89,6 +89,13 @@ def test_a_spring_in_place_of_a_muscle_has_no_body(knee, load):
     assert [body.get_visible() for body in bodies] == [True, False]
 
 
+def test_a_slide_is_drawn_without_pulleys():
+    plant = mk.Scenario.read(EXAMPLES / "linear-axis.yaml").plant()
+    (axes,) = draw_joint(plant, 4 * mm).axes
+    low, high = axes.get_xlim()
+    assert high - low < 0.5 and axes.get_title() == "4 mm"
+
+
 def test_what_is_no_joint_is_refused():
     with pytest.raises(RangeError):
         draw_joint("knee")

@@ -47,6 +47,7 @@ def test_points_are_the_measured_ones_without_law_and_drift(drawn):
     assert low < -10 and high > 10
 
 
+@pytest.mark.slow
 def test_another_dataset_is_refused(drawn):
     data, found, _ = drawn
     with pytest.raises(RangeError, match="the dataset has 3"):

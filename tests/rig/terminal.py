@@ -25,7 +25,7 @@ class FaultyTerminal:
 
     def __init__(self, fault=lambda function, address, reply: reply):
         self.registers, self.fault, self.heard = [0] * 64, fault, []
-        self.refused, self.unreadable = set(), set()  # addresses
+        self.refused, self.unreadable = set(), set()  # addresses, or an address with the word that is refused there
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.port, self.running = self.listener.getsockname()[1], True
         threading.Thread(target=self.serve, daemon=True).start()
@@ -53,11 +53,11 @@ class FaultyTerminal:
 
     def answered(self, request):
         function, address, count = struct.unpack_from(">BHH", request)
-        refused = address in (self.refused if function == 16 else self.unreadable)
-        if refused:
+        words = struct.unpack_from(f">{count}H", request, 6) if function == 16 else ()
+        if {address, (address, *words)} & (self.refused if function == 16 else self.unreadable):
             return function, address, bytes([function | 0x80, 4])
         if function == 16:
-            self.registers[address : address + count] = struct.unpack_from(f">{count}H", request, 6)
+            self.registers[address : address + count] = words
             return function, address, request[:5]
         words = self.registers[address : address + count]
         return function, address, struct.pack(f">BB{count}H", function, 2 * count, *words)

@@ -171,8 +171,8 @@ def test_after_a_vent_that_is_not_confirmed_nothing_more_is_sent(faulty, readabl
     if not readable:
         faulty.unreadable = {10, 11}
     rig = opened(faulty)
+    faulty.refused = {(10, 0)}  # also where a host that stood still vents by itself
     rig.set_valves([5 * bar, 5 * bar])
-    faulty.refused = {10}
     begun = time.monotonic()
     rig.vent()
     assert faulty.registers[10:12] == [5000, 0]
@@ -186,7 +186,7 @@ def test_after_a_vent_that_is_not_confirmed_nothing_more_is_sent(faulty, readabl
     rig.vent()
     rig.close()
     time.sleep(0.1)
-    assert len(faulty.heard) == requests and faulty.heard[-1] - begun < 0.4 + 0.1  # then its watchdog vents
+    assert len(faulty.heard) == requests and faulty.heard[-1] - begun < 1.0  # then its watchdog vents
     faulty.refused = set()
     rig.open()  # and it can be used again
     assert rig.read(1).values.shape == (1, 3)

@@ -43,7 +43,7 @@ class Board:
         tty.setraw(self.end)
         self.port, self.damage = os.ttyname(self.end), damage
         self.hello = Hello("test 1", round(PERIOD * 1e6), digest, MEASURED, VALVES)
-        self.state, self.commands, self.sequence = FirmwareState.DISARMED, None, 0
+        self.state, self.commands, self.sequence, self.was_armed = FirmwareState.DISARMED, None, 0, False
         self.heard, self.last = time.monotonic(), 0
         self.begun, self.running = time.monotonic(), True
         self.thread = threading.Thread(target=self.run)
@@ -78,7 +78,7 @@ class Board:
         if message.kind == MessageKind.HELLO:
             self.send(MessageKind.HELLO, self.hello.pack()[0])
         elif message.kind == MessageKind.ARM and self.state == FirmwareState.DISARMED and self.commands is not None:
-            self.state = FirmwareState.RUNNING
+            self.state, self.was_armed = FirmwareState.RUNNING, True
         elif message.kind == MessageKind.DISARM:
             self.state, self.commands = FirmwareState.DISARMED, None
         elif message.kind == MessageKind.VENT:
@@ -220,7 +220,7 @@ def test_another_firmware_is_refused_before_anything_is_armed(board, settings, f
     with pytest.raises(RigError) as refused:
         SerialBackend(there.port, **settings).open()
     assert refused.value.field == field and refused.value.remedy
-    assert there.state == FirmwareState.DISARMED
+    assert not there.was_armed
 
 
 def test_a_wrong_port_is_named(monkeypatch):

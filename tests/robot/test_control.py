@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 from typer.testing import CliRunner
 
 import mckibben as mk
@@ -25,9 +26,9 @@ from mckibben.mechanism.terms import joint_terms
 from mckibben.plant import PerfectSensors
 from mckibben.result import Severity
 from mckibben.robot import ComputedTorque, RobotScenario, pressures_for_joint_stiffness, read_robot
-from mckibben.scenario import batched, run_many, with_values
+from mckibben.scenario import batched
 from mckibben.statics.posture import HeldPosture
-from mckibben.study.compare import compare, draw, evaluate
+from mckibben.study.compare import compare
 from mckibben.study.compare.robots import RobotSuite
 from mckibben.study.compare.runs import started
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
@@ -47,6 +48,21 @@ DECOUPLING = "\ncontrollers: {knee: {class: decoupling, feedback: {bandwidth: 40
 TORQUE = "\ncontroller: {feedback: {bandwidth: 40 rad/s}}\n"
 THROUGH_THE_AXIS = """- name: on the axis
       through: [{body: thigh, place: [0 mm, 0 mm, 100 mm]}, {body: shank, place: [0 mm, 0 mm, -75 mm]}]"""
+TWO = """
+name: two joints
+robot: {from: lei-leg-planar, base: fixed}
+valve: {time_constant: 20 ms}
+sensors: {encoder: 0.022 deg, pressure_noise: 2 kPa}
+reference:
+  hip: {angle: {class: sine, amplitude: 3 deg, frequency: 1.1 Hz}, stiffness: 15 N*m/rad}
+  knee: {angle: {class: sine, amplitude: 8 deg, frequency: 0.9 Hz}, stiffness: 15 N*m/rad}
+controllers:
+  hip: {class: decoupling, feedback: {bandwidth: 40 rad/s}}
+  knee: {class: decoupling, feedback: {bandwidth: 40 rad/s}}
+start: {clearance: 0.5 m}
+duration: 0.4 s
+control_period: 2 ms
+"""
 ROOT = Path(__file__).parents[2]
 FULL = "examples/robot/lei-leg-control.yaml"
 KEPT = ("angle", "pressure", "command", "stiffness")
@@ -69,10 +85,9 @@ def test_a_stiffness_of_0_is_refused(stiffness):
         pressures_for_joint_stiffness(RobotScenario.parse(ONE + TORQUE).robot, (0.0,), (0.0,))
 
 
-@pytest.mark.parametrize(("controllers", "valve"), [(PID, AIR), (DECOUPLING, LAG)], ids=["pid", "decoupling"])
 @pytest.mark.slow
-def test_a_robot_of_one_joint_moves_as_the_joint(controllers, valve):
-    scenario = RobotScenario.parse(ONE.replace(LAG, valve) + controllers)
+def test_a_robot_of_one_joint_moves_as_the_joint():
+    scenario = RobotScenario.parse(ONE.replace(LAG, AIR) + DECOUPLING)
     run, margins = scenario.run_once(), scenario.margins(3)
     joint = as_joint(scenario)
     own, alone = joint.margins(3), joint.simulate()
@@ -146,6 +161,7 @@ def test_what_no_run_can_have_is_named_with_its_line(old, new, field, tmp_path):
     assert problem.field == field and problem.line is not None and problem.remedy
 
 
+@pytest.mark.slow
 def test_a_reference_that_leaves_the_stops_later_is_not_attainable():
     text = ONE.replace("amplitude: 5 deg", "amplitude: 25 deg")
     (remark,) = RobotScenario.parse(text + TORQUE).run_once().unattained
@@ -169,13 +185,18 @@ def test_all_joints_follow_position_and_stiffness_while_the_others_move():
     np.testing.assert_array_less(error, [0.1, 0.2, 0.6])
     steady = late & (run["time"] % 1 > 0.2)  # a joint has a step at 1, 2 and 3 s
     assert np.abs(run["stiffness"] - run["desired_stiffness"])[:, steady].max() < 0.1
-    assert run.notes() == []
-    late_commands = RobotScenario.parse(scenario.dumps().replace("reference:", "command_delay: 8 ms\nreference:"))
-    aware = late_commands.run_once()
-    unaware = dataclasses.replace(late_commands.controller, command_delay=None)
-    blind = late_commands.model_copy(update={"controller": unaware}).run_once()
-    left = [np.std((r["angle"] - r["desired_angle"])[:, late], axis=1) for r in (aware, blind)]
-    np.testing.assert_array_less(*left)
+    assert run.notes() == [] and run.engine == "native"  # an operation that C lacks would run ten times as long
+
+
+@pytest.mark.slow
+def test_a_controller_that_knows_the_delay_of_its_commands_follows_better():
+    text = ONE.replace("command_delay: 3 ms", "command_delay: 8 ms") + TORQUE.replace("40 rad/s", "60 rad/s")
+    aware = RobotScenario.parse(text).replace(duration=1.5)
+    blind = aware.replace(controller=dataclasses.replace(aware.controller, command_delay=None))
+    errors = [
+        (run["angle"] - run["desired_angle"])[0, run["time"] > 0.5] for run in (aware.run_once(), blind.run_once())
+    ]
+    assert np.std(errors[0]) < 0.2 * np.std(errors[1])
 
 
 @pytest.mark.slow
@@ -188,12 +209,7 @@ def test_a_robot_is_tuned_with_its_disk_margin(tmp_path):
     results = json.loads((tmp_path / "out" / "results.json").read_text())["scalars"]
     assert results["cost"]["value"] < results["cost_before"]["value"] and results["least_disk"]["value"] > 0.2
     tuned = RobotScenario.read(tmp_path / "out" / "one-tuned.yaml")
-    many = run_many(tuned, {"controller.feedback.bandwidth": [20.0, 30.0]})
-    one = with_values(tuned, {"controller.feedback.bandwidth": 30.0}).run_once()
-    for name in ("angle_rmse", "angle_max", "stiffness_rmse"):
-        np.testing.assert_allclose(many.metrics[name][:, 1], one.metrics[name], rtol=1e-6)
-    for name in ("air", "time_saturated"):
-        np.testing.assert_allclose(many.metrics[name][1], one.metrics[name], rtol=1e-6)
+    assert tuned.controller.feedback.bandwidth != 15
 
 
 POINT = """
@@ -255,38 +271,26 @@ def test_controllers_of_a_robot_are_compared_on_runs_of_its_scenarios(tmp_path):
     suite.to_yaml(tmp_path / "suite.yaml")
     again = RobotSuite.read(tmp_path / "suite.yaml")
     assert again == suite and tuple(again.controllers) == names
-    runs = draw(again, 8, 3)
-    for name in ("scenario", "PID"):
-        batch = evaluate(runs, name, {})
-        held = started(batch)
-        assert 0 < held.sum() < 8 and np.isnan(batch["angle_rmse"][0, ~held]).all()
-        first, other = np.flatnonzero(held)[0], np.flatnonzero(~held)[0]
-        alone = runs.scenario(name, int(first)).run_once()
-        for metric in ("angle_rmse", "stiffness_rmse", "air"):
-            values = np.atleast_2d(batch.metrics[metric])[:, first]
-            np.testing.assert_allclose(values, np.ravel(alone.metrics[metric]), rtol=1e-9)
-        with pytest.raises(UnreachableError):
-            runs.scenario(name, int(other)).check_start()
-    result = compare(again.model_copy(update={"evaluation": EvaluationSettings(runs=8)}))
-    assert result.metric("scenario", "angle_rmse").shape == (result.started.sum(),) and set(result.margins)
-    assert set(result.changed) == set(result.batches) and "payload +50 %" in result.changed["PID"].changes
+    pid = {"PID": again.controllers["PID"]}
+    result = compare(again.model_copy(update={"controllers": pid, "evaluation": EvaluationSettings(runs=8, seed=3)}))
+    batch = result.batches["PID"]
+    held = started(batch)
+    assert 0 < held.sum() < 8 and np.isnan(batch["angle_rmse"][0, ~held]).all()
+    first, other = np.flatnonzero(held)[0], np.flatnonzero(~held)[0]
+    alone = result.runs.scenario("PID", int(first)).run_once()
+    for metric in ("angle_rmse", "stiffness_rmse", "air"):
+        values = np.atleast_2d(batch.metrics[metric])[:, first]
+        np.testing.assert_allclose(values, np.ravel(alone.metrics[metric]), rtol=1e-9)
+    with pytest.raises(UnreachableError):
+        result.runs.scenario("PID", int(other)).check_start()
+    assert result.metric("PID", "angle_rmse").shape == (result.started.sum(),) and "PID" in result.margins
+    assert "payload +50 %" in result.changed["PID"].changes
     with pytest.raises(ScenarioError) as caught:
         RobotSuite.parse(suite.dumps().replace("kp: ", "kpp: ", 1))
     assert caught.value.problems[0].field.startswith("controllers.PID.controllers.knee.position")
 
 
 @pytest.mark.slow
-def test_what_is_not_attainable_is_a_remark():
-    text = RobotScenario.read("examples/robot/neck.yaml").dumps().partition("reference:")[0]
-    reference = "reference:\n" + "".join(
-        f"  {name}: {{angle: 2 deg, stiffness: 60 N*m/rad}}\n" for name in ("side", "nod")
-    )
-    run = RobotScenario.parse(text + reference + TORQUE + "duration: 0.1 s\n").run_once()
-    notes = run.notes()
-    assert {remark.field for remark in notes} == {"reference"} and "attains" in str(notes[0])
-    assert run["saturated"].all()
-
-
 @pytest.mark.parametrize("stiffness", [(15.0, 15.0, 15.0), (9.0, 16.0, 30.0)])
 def test_pressures_in_the_loop_are_those_of_the_statics(stiffness):
     robot, angles, torques = read_robot("lei-leg"), (0.02, -0.03, -0.2), (0.5, -0.8, 0.3)
@@ -302,26 +306,24 @@ def test_pressures_in_the_loop_are_those_of_the_statics(stiffness):
     assert abs(float(found.gap)) < 1e-9
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("steps", [1, 3, None])
 @pytest.mark.slow
-def test_the_certificate_bounds_what_few_steps_leave(seed):
-    rng = np.random.default_rng(seed)
-    factors, right, size = rng.normal(size=(9, 7)), rng.normal(size=9), 7
-    low, high = -rng.uniform(0, 0.3, size), rng.uniform(0, 0.3, size)
-    rows = [dict(enumerate(map(jnp.asarray, row))) for row in factors]
-    limits = tuple(map(jnp.asarray, low)), tuple(map(jnp.asarray, high))
-    zero = jnp.zeros(())
+def test_the_certificate_bounds_what_few_steps_leave(steps):
+    size, zero = 7, jnp.zeros(())
     start = BoundedSolution((zero,) * size, (zero,) * size, zero)
-    from scipy.optimize import lsq_linear
-
-    least = 2 * lsq_linear(factors, right, (low, high), tol=1e-14).cost
-    for steps in (1, 3, None):
-        found = bounded_least_squares(rows, right, *limits, start, steps)
+    solve = jax.jit(lambda rows, *problem: bounded_least_squares(rows, *problem, start, steps))
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        factors, right = rng.normal(size=(9, size)), rng.normal(size=9)
+        low, high = -rng.uniform(0, 0.3, size), rng.uniform(0, 0.3, size)
+        found = solve([dict(enumerate(row)) for row in factors], right, tuple(low), tuple(high))
         total = float(np.sum((factors @ np.array(found.values, float) - right) ** 2))
-        assert total - least <= float(found.gap) + 1e-9
-    assert total == pytest.approx(least, abs=1e-9)
+        left = total - 2 * lsq_linear(factors, right, (low, high), tol=1e-14).cost
+        assert left <= float(found.gap) + 1e-9
+        assert steps is not None or left == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_stiffness_of_a_spatial_robot_is_the_slope_of_its_torques():
     robot = RobotScenario.read("examples/robot/platform.yaml").robot
     angles, pressures = np.array([0.05, -0.04, 0.08]), np.linspace(4e5, 6e5, 6)
@@ -350,15 +352,10 @@ def test_the_arm_of_the_documentation_reaches(tmp_path):
     pytest.importorskip("mujoco")
     page = (ROOT / "docs" / "robot.md").read_text(encoding="utf-8")
     (text,) = re.findall(r"^```yaml\n(name: reach.*?)^```", page, re.DOTALL | re.MULTILINE)
-    commands = re.search(r"^```sh\n(mckibben robot read.*?)^```", page, re.DOTALL | re.MULTILINE)[1]
-    for command in commands.splitlines():
-        arguments = command.replace(" arm/", f" {tmp_path}/arm/").replace("--out arm", f"--out {tmp_path}/arm").split()
-        if "simulate" in arguments:
-            (tmp_path / "arm" / "reach.yaml").write_text(text, encoding="utf-8")
-        assert CliRunner().invoke(app, arguments[1:]).exit_code == 0, command
-    results = json.loads((tmp_path / "arm" / "run" / "results.json").read_text())
-    assert max(results["columns"]["angle_rmse"]["values"]) < 0.1 * deg
-    assert (tmp_path / "arm" / "c" / "controller.c").exists()
+    read = re.search(r"^mckibben (robot read .*) --out arm$", page, re.MULTILINE)[1]
+    assert CliRunner().invoke(app, [*read.split(), "--out", str(tmp_path)]).exit_code == 0
+    run = RobotScenario.parse(text, folder=tmp_path).run_once()
+    assert run.metrics["angle_rmse"].max() < 0.1 * deg
 
 
 @pytest.mark.slow
@@ -396,7 +393,6 @@ def test_a_scenario_of_a_robot_has_the_methods_of_one_of_a_joint(tmp_path):
     run = scenario.simulate(duration=0.1)
     assert run.duration == pytest.approx(0.1) and run.plot().axes
     np.testing.assert_array_equal(run["angle"], scenario.replace(duration=0.1).run_once()["angle"])
-    assert "computed torque" in scenario.suite().controllers
     scenario.export("c", tmp_path / "c")
     assert list((tmp_path / "c").glob("*.c"))
 

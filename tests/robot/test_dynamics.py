@@ -112,6 +112,7 @@ def test_foot_stiffness_under_a_force_is_that_of_the_bent_robot(plant, force):
         assert moved == pytest.approx(found @ more, rel=1e-4, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_foot_stiffness_is_that_of_small_displacements(plant):
     robot, angles, stiffness = plant.robot, (0.02, -0.2), (18.0, 14.0)
     found = point_stiffness(robot, angles, stiffness)
@@ -127,6 +128,7 @@ def test_foot_stiffness_is_that_of_small_displacements(plant):
     assert softest < max(one.principal[0] for one in attainable)
 
 
+@pytest.mark.slow
 def test_gravity_of_any_direction_and_springs_are_the_slope_of_the_potential_energy(pair):
     robot = robot_of(pair, "fixed")
     joints = (dataclasses.replace(robot.joints[0], spring=3.0, spring_angle=0.2), *robot.joints[1:])

@@ -79,6 +79,7 @@ def test_a_disturbance_turns_its_joint(fixed):
     assert float((pushed - free)[2, 30]) > 1 * deg
 
 
+@pytest.mark.slow
 def test_a_file_has_them_all():
     text = """name: robot with sensors
 robot:

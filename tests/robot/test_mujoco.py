@@ -76,7 +76,6 @@ PRESSURES = tuple(one * bar for one in (3.0, 2.5, 3.0, 3.2, 2.0, 2.0, 1.0))
 COMMANDS = tuple(one * bar for one in (2.6, 3.0, 3.4, 2.9, 2.1, 2.0, 1.5))
 SIDE = 2 * deg, (2.5 * bar, 3.0 * bar), (3.5 * bar, 2.0 * bar)
 """Angle, pressures and commands of the side swing."""
-IN_SPACE = [("planar", False), ("free", False), ("vertical", True), ("spatial", True), ("floating", True)]
 
 
 def start_of(plant, clearance, speed):
@@ -167,18 +166,7 @@ def passive():
     mujoco.set_mjcb_passive(None)
 
 
-@pytest.mark.parametrize(("freedom", "side"), IN_SPACE)
-def test_bodies_muscles_and_valves_move_alike_in_flight(freedom, side, library):
-    plant = plant_of(freedom, side=side)
-    start, commands = start_of(plant, 0.5, 1.0)
-    model, data = model_of(plant, start, commands, library)
-    ours, run = moved(plant, start, commands)
-    assert not run["stop_torque"].any()
-    assert np.ptp(ours, axis=0).min() > 1e-4
-    np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize(("freedom", "side"), IN_SPACE)
+@pytest.mark.parametrize(("freedom", "side"), [("free", False), ("vertical", True), ("floating", True)])
 def test_a_landing_with_the_same_contact_and_stops_is_the_same(freedom, side, library, passive):
     plant = plant_of(freedom, side=side, ground=SLOPE if side else LEVEL)
     if freedom == "floating":
@@ -188,7 +176,7 @@ def test_a_landing_with_the_same_contact_and_stops_is_the_same(freedom, side, li
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
     passive(own_contact(plant))
     ours, run = moved(plant, start, commands)
-    assert run["stop_torque"].any()
+    assert run["stop_torque"].any() and np.ptp(ours, axis=0).min() > 1e-4
     assert run["ground_up"].max() > 100
     assert np.abs(run["ground_left"]).max() > 10 or not side
     np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
@@ -218,7 +206,7 @@ def test_a_wall_pushes_as_in_mujoco(library, passive):
     np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("freedom", "slope"), [("vertical", None), ("free", None), ("vertical", 3 * deg)])
+@pytest.mark.parametrize(("freedom", "slope"), [("free", None), ("vertical", 3 * deg)])
 def test_a_landing_by_the_contact_of_mujoco_is_much_the_same(freedom, slope, library):
     plant = plant_of(freedom, ground=robots.Ground(slope=slope))
     start, commands = start_of(plant, 0.0, -1.0)
@@ -241,7 +229,7 @@ def test_a_landing_by_the_contact_of_mujoco_is_much_the_same(freedom, slope, lib
     assert np.abs(theirs - ours)[:, -3:].max() < 2.1 * deg
 
 
-@pytest.mark.parametrize("freedom", ["vertical", "free", "floating"])
+@pytest.mark.parametrize("freedom", ["vertical", "floating"])
 def test_ground_and_stops_are_by_the_mobilities_of_mujoco(freedom, library):
     plant = plant_of(freedom, side=True)
     start, commands = start_of(plant, 0.0, 0.0)

@@ -63,6 +63,7 @@ def check(robot, model, offsets):
         np.testing.assert_allclose(found, data.qacc[order], rtol=1e-9, atol=1e-9 * np.abs(found).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm", "neck", "platform", "umarm", "lei-leg"])
 def test_each_example_is_that_of_mujoco(name):
     if name == "arm":

@@ -200,6 +200,7 @@ def test_starts_that_are_not_possible(plant, start, change, field):
     assert caught.value.field.partition(".")[0] == field
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [{"stiffness": 1e8}, {"friction": 1.0, "slip_speed": 0.01}])
 def test_steps_that_do_not_resolve_the_ground(plant, start, change):
     hard = dataclasses.replace(plant, ground=dataclasses.replace(plant.ground, **change))

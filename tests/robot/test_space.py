@@ -172,6 +172,7 @@ def test_a_slender_body_cannot_turn_about_its_own_line(pair):
         assert caught.value.field == "inertia" and caught.value.remedy
 
 
+@pytest.mark.slow
 def test_files_of_a_robot_in_space():
     scenario = RobotScenario.read(FILE)
     assert RobotScenario.parse(scenario.dumps()) == scenario

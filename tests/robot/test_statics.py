@@ -65,6 +65,7 @@ def test_the_affine_map_is_the_derivative_of_the_torques(name):
     assert abs(found.stiffness_at(pressures)[-1, -2]) > 1  # coupling
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lei-leg", "examples/robot/neck.yaml"])
 def test_many_postures_are_those_one_by_one_and_the_closed_form_is_the_linear_program(name):
     robot, rng = read_robot(name), np.random.default_rng(0)
@@ -91,6 +92,7 @@ def test_many_postures_are_those_one_by_one_and_the_closed_form_is_the_linear_pr
     assert forms >= 4 * len(robot.joints)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(POSTURES))
 @pytest.mark.parametrize("force", [None, (4.0, 20.0)])
 def test_an_attainable_stiffness_is_exact(name, force):
@@ -109,6 +111,7 @@ def test_an_attainable_stiffness_is_exact(name, force):
     np.testing.assert_allclose(robot.torques(angles, found.pressures), torques, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("principal", "direction"),
     [((25.0, 800.0), -0.15), ((200.0, 300.0), 1.0), ((15.0, 3000.0), 0.3), ((60.0, 70.0), 0.0)],
@@ -133,6 +136,7 @@ def test_no_point_of_a_grid_is_nearer(principal, direction):
     assert found.error == pytest.approx(error(tuple(np.diag(found.joint_stiffness))), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_random_pressures_are_no_nearer_with_a_biarticular_muscle_in_space():
     robot, angles = with_rectus("lei-leg"), POSTURES["lei-leg"]
     wanted = stiffness_matrix((60.0, 400.0), -0.6, sideways=30.0)
@@ -226,6 +230,7 @@ def test_what_is_not_possible_is_refused():
         assert caught.value.remedy
 
 
+@pytest.mark.slow
 def test_a_slack_return_spring_cannot_hold_a_torque():
     robot, angles = read_robot("lei-leg-planar"), (0.0, -0.3)
     path = float(robot.routed_muscles(angles)[3].path)

@@ -66,6 +66,7 @@ def test_a_file_with_a_valve_for_each_muscle_reads_back():
     assert with_values(scenario, {"valve.groups.0.valve.supply": 6e5}).supply == 6e5
 
 
+@pytest.mark.slow
 def test_a_controller_of_a_joint_has_the_valves_of_its_muscles():
     scenario = RobotScenario.parse(LEG)
     lags = {name: [float(one.valve.for_muscle(i).lag) for i in (0, 1)] for name, one in scenario.controllers.items()}

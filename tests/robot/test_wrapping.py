@@ -185,6 +185,7 @@ def test_a_robot_that_we_write_is_read_back_with_its_surfaces(tmp_path):
     assert RobotScenario.read(tmp_path / "leg.yaml").robot == robot
 
 
+@pytest.mark.slow
 def test_a_path_of_ones_own_is_not_exported_as_ours():
     class Ellipsoid(WrapSphere):
         pass

@@ -46,6 +46,7 @@ def test_a_smooth_run_needs_one_step_and_says_how_far_it_is_from_two():
     assert angle_error(run, reference=SMOOTH, duration=0.5) == pytest.approx(run.resolution.error, rel=0.1)
 
 
+@pytest.mark.slow
 def test_steps_of_one_evaluation_converge_to_those_of_runge_kutta():
     disturbed = dataclasses.replace(PLANT, disturbance=TorquePulses(0.0))  # by nothing, but integrated by RK4
     fine = mk.simulate(disturbed, CONTROL, SMOOTH, substeps=16, **RUN)["angle"]
@@ -97,6 +98,7 @@ def test_a_run_that_is_not_resolved_is_reported_with_the_time_from_which_solutio
     assert run.times[apart.argmax()] == pytest.approx(run.resolution.unresolved_from)
 
 
+@pytest.mark.slow
 def test_friction_and_a_finer_accuracy_need_more_steps():
     plant = dataclasses.replace(PLANT, friction=mk.JointFriction(0.3, 1 * deg))
     runs = [mk.simulate(plant, CONTROL, SMOOTH, accuracy=accuracy, **RUN).resolution for accuracy in (1e-6, 1e-8)]

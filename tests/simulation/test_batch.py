@@ -344,6 +344,7 @@ def test_a_chunk_is_a_whole_number_of_runs(masses, chunk):
         masses(2, chunk=chunk)
 
 
+@pytest.mark.slow
 def test_arrays_in_place_of_numbers_are_the_same_as_values_by_name(parts, masses, most):
     plant, control = parts
     mass = np.linspace(0.3, 0.7, 300)[:16]

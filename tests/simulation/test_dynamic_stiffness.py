@@ -72,6 +72,7 @@ def test_damping_of_the_muscles_is_the_loss_over_the_rate(knee, load):
     assert found.loss[0, 0] == pytest.approx(2 * np.pi * found.frequency[0] * np.sum(damping * arms**2), rel=1e-2)
 
 
+@pytest.mark.slow
 def test_friction_of_the_joint_adds_to_the_stiffness_and_its_loop_to_the_loss(knee, load):
     """At the reversals it is T against the motion; the area is 4 T a, less what its springs give back."""
     torque, presliding = 0.3, 0.05 * deg
@@ -118,6 +119,7 @@ def test_regulators_hold_the_pressure_against_a_slow_push_and_the_air_against_a_
     np.testing.assert_allclose(found.loss[:, 0], expected.imag, atol=0.01 * air)
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_is_refused(held, start):
     for field, given in (("frequency", (1 * deg, 20.0)), ("amplitude", (0.0, 1.0))):
         with pytest.raises(RangeError) as refused:

@@ -61,6 +61,7 @@ def test_it_agrees_with_an_independent_solver_to_1e_8_rad_over_10_s(run, paper_p
     np.testing.assert_allclose(record.state.angle, angle, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_loop_tracks_and_stays_within_limits(run):
     _, setpoints, final, record = run
     assert float(jnp.max(jnp.abs(record.state.angle - setpoints.angle)[1000:])) < 0.06

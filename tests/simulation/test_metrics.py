@@ -169,6 +169,7 @@ def test_one_moment_that_is_no_number_spoils_the_largest(name, place):
     assert np.isnan(getattr(found, peak)) == (not (peak == "coupling" and place < 5))
 
 
+@pytest.mark.slow
 def test_no_error_has_no_slope():
     def errors(size):
         run = moved(12, desired_stiffness=np.full(12, 13.0))

@@ -20,6 +20,7 @@ def found(error, desired=STILL, resolution=0.0):
     return float(amplitude) / deg, float(period)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [0.0, 1.5])
 def test_its_amplitude_and_period_are_found(start):
     error = np.where(TIMES < start, 0.0, 2 * deg * np.sin(2 * np.pi * 7 * TIMES))

@@ -192,6 +192,7 @@ def test_all_that_controllers_by_a_model_report_has_units(knee, load):
         assert all(attributes(name).get("units") for name in told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["completed", "saturated", "left_domain", "diverged"])
 def test_netcdf_gives_the_same_run_back(which, request, tmp_path):
     result = request.getfixturevalue(which)
@@ -245,6 +246,7 @@ def test_a_file_that_is_nearly_a_result_is_an_error_of_ours(completed, tmp_path,
     raise AssertionError("it was taken for a result")
 
 
+@pytest.mark.slow
 def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
     reference = mk.Reference(angle=mk.Constant(0.0), stiffness=mk.Constant(15.0))
     start = PlantState(np.nan, 0.0, (1e5, 1e5))

@@ -85,6 +85,7 @@ def test_sensors_without_faults_and_pushes_of_nothing_change_nothing(heard, plan
     assert told == (START.angle, START.pressures)
 
 
+@pytest.mark.slow
 def test_a_run_that_goes_on_hears_and_feels_what_comes_next(heard, alone):
     _, _, final = alone
     record, seen, _ = heard(start=final)

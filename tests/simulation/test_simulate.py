@@ -80,6 +80,7 @@ def test_much_memory_is_announced_before_the_run(plant, control):
         mk.simulate(plant, control, REFERENCE, duration=3600.0, substeps=0)
 
 
+@pytest.mark.slow
 def test_a_start_that_cannot_be_held_is_an_error(plant, control):
     heavy = eqx.tree_at(lambda p: p.load.mass2, plant, 50.0)
     with pytest.raises(UnreachableError, match="0 deg"):
@@ -159,6 +160,7 @@ def test_a_signal_of_numpy_is_referred_to_jax(plant, control):
             mk.simulate(plant, control, mk.Reference(signal, 15.0), duration=0.2)
 
 
+@pytest.mark.slow
 def test_a_minimum_tension_that_the_stiffness_does_not_allow_is_said(plant, knee, load):
     reference = mk.Reference(0.0, 12.0)
 

@@ -109,6 +109,7 @@ def contest(suite, kept):
     return compare(suite, out=kept)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("simulating_nothing")
 def test_gains_without_the_margin_cost_more_than_any_with_it_and_are_not_on_a_front(monkeypatch):
     one = changed(*ALONE)

@@ -84,6 +84,7 @@ def trial(cost, error, air, stiffness=1.0, failed=0.0):
     return Trial((cost,), cost, metrics=numbers)
 
 
+@pytest.mark.slow
 def test_the_table_has_medians_percentiles_and_failed_runs_of_those_that_began(contest, columns):
     table = rows_of(next(iter(contest.listings())))
     assert list(table) == contest.order == [SECOND, FIRST, THIRD], "by their median cost"
@@ -138,6 +139,7 @@ def test_at_equal_air_ratios_are_to_the_first_as_tuned_and_others_are_named(cont
     assert "decoupling (at least 0.3 L)" in text and THIRD not in text
 
 
+@pytest.mark.slow
 def test_setups_are_pooled_and_a_controller_that_one_lacks_at_equal_air_is_left_out(contest):
     """In the second setup no trial of one controller takes as little air."""
     others = {FIRST: contest.batches[FIRST]}

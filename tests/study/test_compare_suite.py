@@ -118,6 +118,7 @@ def test_a_mistake_is_told_with_its_line_and_field(pairs, field, marked, said):
     assert [problem.line] == [i for i, line in enumerate(TEXT.splitlines(), 1) if marked in line]
 
 
+@pytest.mark.slow
 def test_gains_that_are_all_zero_need_a_word():
     zeros = "{kp: 0 bar/rad, ki: 0 bar/(rad*s), kd: 0 bar*s/rad}"
     both = re.sub(
@@ -165,6 +166,7 @@ def test_joints_and_references_come_in_their_shares(suite, runs):
     assert len(set(zip(runs.joint, runs.reference_name, strict=True))) == 6, "one does not follow from the other"
 
 
+@pytest.mark.slow
 def test_fast_sines_are_made_smaller(suite, runs):
     sine = runs.reference_values["sine and step"]
     amplitude, frequency = sine["reference.angle.amplitude"], sine["reference.angle.frequency"]
@@ -273,6 +275,7 @@ def test_a_frequency_that_no_control_period_resolves_is_refused():
     assert caught.value.upper == pytest.approx(250.0)
 
 
+@pytest.mark.slow
 def test_a_plant_needs_as_many_substeps_as_its_valve(mixed):
     few = mixed.model_copy(update={"substeps": 1})
     with pytest.raises(SimulationError) as caught:

@@ -30,6 +30,7 @@ def test_a_name_of_no_dataset_names_those_there_are(tmp_path, monkeypatch, name,
     assert caught.value.value == name and named in caught.value.remedy
 
 
+@pytest.mark.slow
 def test_a_law_by_name_of_a_specimen_and_of_a_fit_file(tmp_path):
     eq3 = law_named("lei-mas-10-180n")
     assert float(eq3.force(0.0, 6e5)) == pytest.approx(584.72)

@@ -52,6 +52,7 @@ def flow():
     return with_valve(FLOW)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "field"),
     [

@@ -220,6 +220,7 @@ def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
             np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_what_is_known_varies_in_the_model_and_the_rest_does_not():
     scenario = with_controller("decoupling")
     table = {

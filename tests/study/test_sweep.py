@@ -98,6 +98,7 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         sweep(scenario, out=tmp_path, resume=True, model_follows=())
 
 
+@pytest.mark.slow
 def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
     study = Sweep.of(scenario, OVER, **SOME)
     monkeypatch.setattr(sweep_module, "software", lambda engine: software(engine) | {"mckibben": "9.9"})

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from mckibben.errors import FileError, ParameterError, UnreachableError
-from mckibben.scenario import Scenario, Start
+from mckibben.scenario import Scenario, ScenarioParameter, Start
 from mckibben.storage.store import STUDY
 from mckibben.study.parameters import LogUniform, Uniform, parse_sweep
 from mckibben.study.tune import Cost, gain_ranges, parse_ranges, read_trials, tune
 from mckibben.study.tune.objective import TuningProblem
 from mckibben.study.tune.search import SEARCHES
-from mckibben.units import deg
+from mckibben.study.tune.space import is_gain
+from mckibben.units import Quantity, deg
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
 TEXT = EXAMPLE
@@ -101,6 +102,7 @@ def test_a_search_reports_its_steps_and_rounds_its_values():
     assert [listing.title for listing in tuned.listings()][1:3] == ["Parameters", STILL.name]
 
 
+@pytest.mark.slow
 def test_rounding_makes_nothing_worse(monkeypatch):
     start = starting("1.23456789 deg", 14.123456789)
     best = np.array([start.start.angle, start.start.stiffness])
@@ -226,8 +228,17 @@ def test_ranges_around_the_gains():
     assert (gain.low, gain.high) == pytest.approx((-8e4, -800.0))
     zero = Scenario.parse(re.sub(r"(k[pid]): [0-9.]+ ", r"\1: 0 ", TEXT))
     assert gain_ranges(zero) == {}
-    with pytest.raises(ParameterError, match="all gains are zero; give parameters"):
+    with pytest.raises(ParameterError) as caught:
         parse_ranges([], zero)
+    assert "--parameters" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("place", "unit", "gains"),
+    [("controller", "Pa/rad", True), ("controller", "Pa/s", False), ("valve", "Pa/m", False)],
+)
+def test_a_field_of_a_user_defined_controller_is_a_gain_by_its_unit(place, unit, gains):
+    assert is_gain(ScenarioParameter(f"{place}.push", ((place, "push"),), Quantity(unit), 2e5)) is gains
 
 
 def test_a_whole_number_has_no_range_to_search():

@@ -284,6 +284,7 @@ def test_what_is_not_allowed_or_cannot_start_costs_most_and_leaves_its_neighbour
     assert task.costs(np.tile(rows, (2, 1)))[:3].tolist() == [expected[0], FAILED_COST, FAILED_COST]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("percentile", [None, 100.0])
 def test_one_failed_scenario_is_enough_also_for_the_mean(percentile):
     lifted = with_values(LIGHT, {"start.angle": 20 * deg})  # where not every one of the stiffnesses can be held

@@ -295,6 +295,7 @@ def test_advice_names_what_the_page_has(text, shown):
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
 
 
+@pytest.mark.slow
 @visits
 async def test_questions_are_asked_at_their_column_and_answered_there_and_text_of_a_file_is_shown_as_text(user):
     await user.open("/identify")
@@ -455,6 +456,10 @@ async def test_a_parameter_changes_the_run_and_runs_are_overlaid(user):
     user.find(marker="margins").click()
     await until(lambda: bench.studies, 100)
     await until(lambda: len(state(dict)["/run"]) == 2)
+    user.find(marker="move").click()
+    await until(lambda: "page" in bench.studies, 100)
+    await until(lambda: there(user, "moving"))
+    assert b"<!doctype html>" in bench.studies["page"].steps.files["page.html"]
     user.find(marker="undo").click()
     await until(lambda: bench.current is not changed and bench.ran, 60)
     assert "ki: 90 bar/(rad*s)" in changed.text

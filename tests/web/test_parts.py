@@ -17,13 +17,8 @@ def choices(scenario):
     return control_choices(scenario) | plant_choices(scenario)
 
 
-OPTIONS = [
-    (text, label, name)
-    for text, scenario in {START: JOINT, LEG: ROBOT}.items()
-    for label, choice in choices(scenario).items()
-    for name in choice.options
-    if text == START or not label.endswith(("of side", "of hip"))
-]
+OPTIONS = [(START, label, name) for label, choice in choices(JOINT).items() for name in choice.options]
+OPTIONS += [(LEG, label, choice.options[-1]) for label, choice in choices(ROBOT).items()]
 
 
 @pytest.mark.parametrize(("text", "label", "name"), OPTIONS, ids=lambda value: value.replace("\n", " ")[:30])

@@ -121,7 +121,7 @@ class Corrected(NamedTuple):
 
 def _others(model: Moved, prior: JointPrior) -> dict[str, float]:
     """Prior deviations of the parameters that are not a muscle's; of damping relative to critical damping."""
-    each = {f"{joint}zero": prior.zero * model.joint_type.scale for joint in model.joint_names}
+    each = {f"{joint}zero": prior.zero_of(model.joint_type) for joint in model.joint_names}
     each |= {f"{joint}damping": prior.damping for joint in model.joint_names}
     each |= {"added_mass": prior.added_mass, "distance": prior.distance}
     return each | {f"{name}.load_cell": prior.load_cell for name in model.muscle_names} | model.priors(prior)

@@ -45,7 +45,8 @@ from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.mechanism import Robot
 from mckibben.numerics.batching import recheck
-from mckibben.result import Column, Listing, Remark, TableColumns, column, table
+from mckibben.result import Column, Listing, Remark, column, table
+from mckibben.units import JointType
 
 _FILTER = 0.04  # s, standard deviation of the filter of the equations
 EDGE = int(4 * _FILTER * RATE)  # samples that the filter needs on either side
@@ -176,7 +177,7 @@ class JointCalibration(Calibration):
         """Errors of each recording by the model before and after."""
         recordings = (*self.recordings, *self.held_out)
         before, after = zip(*(self.errors(recording) for recording in recordings), strict=True)
-        error = Column("N*m", digits=3).for_joint(self.model.joint_type)
+        error = Column("N*m", digits=3)
         columns: dict[str, tuple[Column, Any]] = {
             "recording": (Column(), [str(i + 1) for i in range(len(recordings))]),
             "used as": (Column(), ["fitted"] * len(self.recordings) + ["held out"] * len(self.held_out)),
@@ -207,9 +208,9 @@ class JointCalibration(Calibration):
         found = f"stiffness {after} {kind.shown('N*m/rad')} (95 %), {before} before{held_out}"
         return f"{found}; {super().verdict()}"
 
-    def declared(self) -> TableColumns:
-        kind = self.model.joint_type
-        return {name: (mark.for_joint(kind), values) for name, (mark, values) in super().declared().items()}
+    @property
+    def joint_type(self) -> JointType:
+        return self.model.joint_type
 
     def remarks(self) -> list[Remark]:
         """Contradictions of model and recordings, laws that are no muscle's, and quantities far from the model."""

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,10 +20,12 @@ from mckibben.calibration.estimation import JointCalibration, calibrate_model, p
 from mckibben.calibration.loop import PLANTS, loop_margins, with_estimates
 from mckibben.calibration.models import HingeModel, Moved, RobotModel
 from mckibben.calibration.recordings import Floats, JointPrior, JointRecording
-from mckibben.calibration.service import write_estimate, write_settings
+from mckibben.calibration.service import write_posterior, write_settings
 from mckibben.codegen.engine import compiled
 from mckibben.codegen.native import over_periods
 from mckibben.component.schema import independent, inherited_fields, replaced, write_text
+from mckibben.config.document import shortened
+from mckibben.config.model import DocumentModel
 from mckibben.control import Multisine, OpenLoopControl, Reference, Sine, Sum
 from mckibben.control.base import field_of, with_fields
 from mckibben.dataset import Recipe
@@ -413,11 +414,11 @@ def calibrate_scenario(
     keeps = bool(held_out) and not fit.predicts
     after = scenario if keeps else calibrated_scenario(scenario, fit)
     margins = None if keeps else loop_margins(after, **fit.drawn(PLANTS))
-    writers: dict[str, Any] = {"scenario.yaml": after.to_yaml}
+    writers: dict[str, Any] = {"scenario.yaml": partial(write_estimates, after.dumps, scenario, "")}
     if not keeps:
-        writers |= {"estimate.json": partial(write_estimate, scenario, fit.posterior), "service.yaml": write_settings}
+        writers |= {"estimate.json": partial(write_posterior, scenario, fit.posterior), "service.yaml": write_settings}
     if joint := (model if keeps else calibrated_model(fit)).parts.get("joint"):
-        writers["model.yaml"] = partial(write_section, joint, _HEAD)
+        writers["model.yaml"] = partial(write_estimates, partial(write_text, joint), scenario, _HEAD)
     return replace(fit, disk_margins=margins).with_files(writers)
 
 
@@ -445,8 +446,11 @@ def calibrated_scenario(scenario: Any, fit: JointCalibration) -> Any:
     return with_estimates(scenario, fit.deviations(), **parts)
 
 
-def write_section(part: eqx.Module, comment: str, path: Path, *, base: type | None = None) -> None:
-    """Write a part of a scenario, such as ``model: FILE`` of a controller, below a comment."""
-    text = comment + write_text(part, folder=path.parent, base=base)
+def write_estimates(text: Callable[..., str], before: DocumentModel, comment: str, path: Path) -> None:
+    """Write a file, such as ``model: FILE`` of a controller, below a comment.
+
+    Numbers that do not stand in the scenario before have six digits: the estimates.
+    """
+    content = shortened(text(folder=path.parent), before.dumps(folder=path.parent))
     with atomic_write(path, overwrite=True) as file:
-        file.write_text(text, encoding="utf-8")
+        file.write_text(comment + content, encoding="utf-8")

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from mckibben.component.base import Checked
 from mckibben.component.schema import read_component
 from mckibben.errors import IdentificationError
-from mckibben.units import Quantity, Strength, deg, kPa
+from mckibben.units import HINGE, JointQuantity, JointType, Quantity, Strength, deg, kPa
 
 Floats = NDArray[np.float64]
 Samplings = Floats | Array
 Number = float | np.float64 | Array
-PositiveAngle = Annotated[float, Quantity("rad", "deg", 0, 57, open_lower=True)]
+PositiveAngle = Annotated[float, JointQuantity("rad", "deg", 0, 57, open_lower=True)]
 PositiveNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3, open_lower=True)]
 
 
@@ -80,7 +80,7 @@ class JointPrior(Checked):
     load_cell
         Gains of the load cells, relative.
     zero
-        Encoder zero [rad]; of a slide 1 mm for 1 deg.
+        Encoder zero [rad], of a slide [m]. Default: 1.2 deg, or 1.2 mm.
     arm_scale
         Scale of the moment arms.
     valve, delay, supply, polytropic_index, critical_ratio
@@ -102,7 +102,7 @@ class JointPrior(Checked):
     added_mass: Strength = 0.005
     distance: Strength = 0.01
     load_cell: Strength = 0.01
-    zero: PositiveAngle = 1.2 * deg
+    zero: PositiveAngle | None = None
     arm_scale: Strength = 0.03
     delay: Strength = 1.0
     valve: Strength = 0.7
@@ -113,9 +113,13 @@ class JointPrior(Checked):
     pressure_zero: PositiveNoise = 1 * kPa
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> JointPrior:
+    def read(cls, path: str | os.PathLike[str], joint_type: JointType = HINGE) -> JointPrior:
         """Read a file; raises `ScenarioError` with every problem: line, field, value, range and remedy."""
-        return read_component(cls, Path(path))
+        return read_component(cls, Path(path), context={"joint_type": joint_type})
+
+    def zero_of(self, joint_type: JointType) -> float:
+        """Return the deviation of the encoder zero of a joint [rad], [m]."""
+        return 1.2 * deg * joint_type.scale if self.zero is None else self.zero
 
 
 def sampling_period(recording: JointRecording, *, longest: float = 0.01) -> float:

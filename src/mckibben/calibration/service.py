@@ -103,7 +103,7 @@ class Service(NamedTuple):
     def listing(self) -> Listing:
         """Table over time."""
         columns: TableColumns = {"time": (Column("s", digits=3), self.times)}
-        stiffness, deviation = (Column("N*m/rad", digits=digits).for_joint(self.joint_type) for digits in (3, 2))
+        stiffness, deviation = (Column("N*m/rad", digits=digits) for digits in (3, 2))
         for i, joint in enumerate(self.names[0]):
             columns[f"{joint}stiffness"] = stiffness, self.stiffness[:, i]
             columns[f"{joint}deviation"] = deviation, self.deviation[:, i]
@@ -256,7 +256,7 @@ def model_at(problem: CalibrationProblem, z: Floats) -> Moved:
     return jax.tree.map(np.ndarray.item, models_of(problem, z[:, None]))
 
 
-def write_estimate(scenario: StudiedScenario, posterior: Posterior, path: Path) -> None:
+def write_posterior(scenario: StudiedScenario, posterior: Posterior, path: Path) -> None:
     """Write a calibration, with the scenario before it, for runs in service."""
     problem, minimum = posterior.problem, posterior.minimum
     text = {

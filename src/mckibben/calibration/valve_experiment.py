@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from mckibben.actuator import Actuator
-from mckibben.calibration.experiment import load_of, model_of, part_of, recording_of, write_section
+from mckibben.calibration.experiment import load_of, model_of, part_of, recording_of, write_estimates
 from mckibben.calibration.loop import PLANTS, loop_margins, with_estimates
 from mckibben.calibration.recordings import Floats, JointPrior, JointRecording
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
+from mckibben.component.schema import write_text
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
 from mckibben.control.base import field_of
 from mckibben.errors import McKibbenWarning, ParameterError
@@ -172,9 +173,12 @@ def calibrate_scenario_valves(
     delay = field_of(scenario.control(), "command_delay") or scenario.command_delay
     valve = field_of(scenario.control(), "valve") or scenario.valve
     fit = calibrate_valves(model_of(scenario), valve, recordings, prior, delay=delay)
-    write_valve = partial(write_section, fit.valve, _HEAD, base=Actuator)
     after = scenario_with_valves(scenario, fit)
-    writers = {"valve.yaml": write_valve, "scenario.yaml": after.to_yaml}
+    valve_text = partial(write_text, fit.valve, base=Actuator)
+    writers = {
+        "valve.yaml": partial(write_estimates, valve_text, scenario, _HEAD),
+        "scenario.yaml": partial(write_estimates, after.dumps, scenario, ""),
+    }
     margins = loop_margins(after, **fit.drawn(PLANTS))
     return dataclasses.replace(fit, disk_margins=margins).with_files(writers)
 

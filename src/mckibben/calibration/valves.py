@@ -284,7 +284,7 @@ def _fits(problems: dict[int, _Problem], records: list[_Record]) -> tuple[list[O
 
 
 def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, delay: float | None) -> _Problem:
-    parameters = []
+    parameters, kind = [], joint.joint_type
     for name, value, quantity in _numbers(valve):
         own, unit = name.rpartition(".")[2], quantity.unit
         scale = _DEAD_ZONE[unit] if own == "dead_zone" else _SCALES.get(own)
@@ -296,7 +296,7 @@ def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, de
     parameters.append(UncertainParameter("delay", "s", delay or 0.0, deviation, logarithmic=bool(delay)))
     nuisances = (
         UncertainParameter("pressure_zero", "Pa", 0.0, prior.pressure_zero, logarithmic=False),
-        UncertainParameter("zero", "rad", 0.0, prior.zero, logarithmic=False),
+        UncertainParameter("zero", kind.unit("rad"), 0.0, prior.zero_of(kind), logarithmic=False),
         UncertainParameter("arm_scale", "1", 1.0, prior.arm_scale, logarithmic=False),
         UncertainParameter("volume", "1", 1.0, prior.volume, logarithmic=False),
     )

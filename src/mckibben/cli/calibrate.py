@@ -102,7 +102,7 @@ def calibrate(
     results_folder(out, calibration.Calibration.file_names(), force)
     read = Scenario.read(scenario)
     kind, load = read.joint_type, _weight(weight, read.joint_type)
-    deviations = _prior(limb, prior, valves=valves)
+    deviations = _prior(limb, prior, kind, valves=valves)
     low, high = _angles(angles, kind)
     if read.joint_names:
         _check_robot(scenario, recording, valves=valves)
@@ -144,13 +144,13 @@ def _check_files(weight: str, recording: Files, weighted: Files, held_out: Files
         raise ParameterError("--held-out without a recording", remedy="add --recording")
 
 
-def _prior(limb: str, file: Path | None, *, valves: bool) -> JointPrior:
+def _prior(limb: str, file: Path | None, joint_type: JointType, *, valves: bool) -> JointPrior:
     """Deviations by a file, or by what is known of the limb, which is asked for."""
     from mckibben.calibration import JointPrior
 
     if file is not None:
         check_unused("--prior", limb=limb)
-        return JointPrior.read(file)
+        return JointPrior.read(file, joint_type)
     if valves:
         return JointPrior()
     if limb not in _LIMBS:
@@ -213,7 +213,8 @@ def _measured(
     from mckibben.calibration import run_parts
     from mckibben.rig import JointRig
 
-    device, instructions = None if rig is None else JointRig.read(rig), experiment.instructions
+    device = None if rig is None else JointRig.read(rig, joint_type=scenario.joint_type)
+    instructions = experiment.instructions
     confirmed: list[str] = []
 
     def ready(name: str) -> None:

@@ -54,7 +54,7 @@ def export(
     folder = required_folder(out, "export")
     with keeping(folder):
         read = Scenario.read(scenario)
-        parts = None if hardware is None else Hardware.read(hardware)
+        parts = None if hardware is None else Hardware.read(hardware, joint_type=read.joint_type)
         if to != "mjcf" and (count := len(read.muscle_names)):
             seconds, what = (count**2 / 4, " with margins") if to in CONTROLLERS else (count**2 / 15, "")
             echo(f"the export of {count} muscles{what} takes about {seconds:.0f} s of processor time", err=True)

@@ -52,6 +52,7 @@ def of_torque(files: list[str], law: str, reading: Reading) -> Result:
     """Identify the law of two equal muscles from torques of their joint."""
     from mckibben.dataset.reading import read_torques
     from mckibben.identification import identify_torque
+    from mckibben.identification.storage import rounded_law
     from mckibben.scenario.inputs import geometry_named, law_type_named
 
     recipe = reading.recipe
@@ -68,6 +69,7 @@ def of_torque(files: list[str], law: str, reading: Reading) -> Result:
 
         name = recipe.specimen or Path(files[0]).stem
         section = {"class": type(fit.law).__name__, **write_component(fit.law)}
+        section = rounded_law(section, fit.law, fit.force_error)
         write_muscle(path, fit.law, specimen=name, initial_length=length, law=section)
 
     return fit.with_files({"recipe.yaml": recipe.to_yaml, "muscle.yaml": write})

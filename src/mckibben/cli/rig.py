@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from typer import Argument
 
-from mckibben.cli.command import plain_command, present
+from mckibben.cli.command import command, plain_command, present
 from mckibben.cli.help import Command, Commands
 from mckibben.cli.options import ScenarioFile, echo, job_progress, parse_quantity, required_folder
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from mckibben.rig import RunProgress
     from mckibben.rig.runner import Progress, ProgressCallback
     from mckibben.rig.running import CheckedTest
+    from mckibben.rig.sensor_line import SensorLine
 
 
 _RECORDING = "recording.nc"
@@ -69,7 +70,7 @@ def control(
     from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
-    on = None if rig is None else JointRig.read(rig)
+    on = None if rig is None else JointRig.read(rig, joint_type=read.joint_type)
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
     if check:
@@ -250,6 +251,17 @@ def check(protocol: Annotated[Path, Argument(metavar="PROTOCOL.yaml", help="Prot
     from mckibben.rig.running import readings
 
     _show_status(readings(protocol))
+
+
+@rig.command(cls=Command, context_settings={"ignore_unknown_options": True})  # of negative readings
+@command
+def line(
+    readings: Annotated[list[str], Argument(metavar="READING=VALUE...", help='Such as "0.51 = 98.1 N".')],
+) -> SensorLine:
+    """Fit gain and offset of a channel to readings at known values, such as weights on a load cell."""
+    from mckibben.rig.sensor_line import sensor_line
+
+    return sensor_line(readings)
 
 
 def _show_status(lines: Iterable[tuple[str, bool]]) -> None:

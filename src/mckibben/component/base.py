@@ -27,6 +27,7 @@ from typing import (
 )
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from mckibben.component.calls import CheckedCalls
@@ -69,19 +70,33 @@ class Units:
 _NO_UNITS = Units()
 
 
+class once(property):  # noqa: N801
+    """Property of a component that is computed when it is first asked for, except from traced numbers."""
+
+    def __get__(self, instance: object, owner: type | None = None) -> Any:
+        name, known = getattr(self.fget, "__qualname__", ""), getattr(instance, "_once", {})
+        if name in known:
+            return known[name]
+        value = super().__get__(instance, owner)
+        if instance is not None and not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
+            object.__setattr__(instance, "_once", known | {name: value})
+        return value
+
+
 class Described:
     """Base of classes that define their form in files.
 
     All attributes have defaults: a class is read from and written to files by its fields alone.
 
     An object read from a file records its origin and the fields that it inherited. They are slots, so that they are
-    not part of the tree, and are lost as soon as the object is changed.
+    not part of the tree, and are lost as soon as the object is changed, as is what is computed `once`.
     """
 
-    __slots__ = ("_inherited", "_origin")
+    __slots__ = ("_inherited", "_once", "_origin")
 
     def __setstate__(self, state: Any) -> None:  # of `pickle`, which would set slots by a method that is blocked
         fields, marks = state if isinstance(state, tuple) else (state, {})
+        marks.pop("_once", None)
         self.__dict__.update(fields or {})
         for name, value in marks.items():
             object.__setattr__(self, name, value)
@@ -110,7 +125,7 @@ class _TextWithUnits(CheckedCalls):
     """Metaclass of classes whose fields may be given as in files, as text with a unit: ``Pulley("35 mm", 0.25)``."""
 
     def __call__(cls, *args: object, **named: object) -> Any:  # noqa: N805
-        if any(isinstance(value, str | list | tuple) for value in (*args, *named.values())):
+        if any(isinstance(value, str | list | tuple) and value for value in (*args, *named.values())):
             names, kind = list(cls.__signature__.parameters), cast("type[Described]", cls)
             args = (*(_in_si(kind, *field) for field in zip(names, args, strict=False)), *args[len(names) :])
             named = {name: _in_si(kind, name, value) for name, value in named.items()}
@@ -118,7 +133,8 @@ class _TextWithUnits(CheckedCalls):
 
 
 def _in_si(kind: type[Described], name: str, value: object) -> object:
-    return in_si(kind.__name__, name, value, field_quantities(kind).get(name) or kind.unit_of(name))
+    mark = field_quantities(kind).get(name) or units_of_part(field_hints(kind).get(name)).get("signal")
+    return in_si(kind.__name__, name, value, mark or kind.unit_of(name))
 
 
 _ComponentMeta: Any = type("_ComponentMeta", (_TextWithUnits, type(eqx.Module)), {})

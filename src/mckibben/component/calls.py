@@ -40,7 +40,7 @@ def checked_call(function: Callable[P, R]) -> Callable[P, R]:
 
     The call itself costs nothing more: arguments are compared with the signature and its types only after it failed
     with a `TypeError`, `AttributeError` or `ValueError`. Only a text in place of a flag is refused before, and one such
-    as "35 mm" becomes a number in SI if the type of the argument has a unit.
+    as "35 mm" becomes a number in SI if the type of the argument has a unit, by position, too.
 
         >>> @checked_call
         ... def pull(muscle: str, pressure: float) -> str:
@@ -50,20 +50,24 @@ def checked_call(function: Callable[P, R]) -> Callable[P, R]:
             ...
         mckibben.errors.CallError: pull has no argument 'presure'; did you mean 'pressure'?
     """
+    names = list(inspect.signature(function).parameters)
+
+    def in_place(name: str, value: object) -> object:
+        if not isinstance(value, str):
+            return value
+        if (hint := _hint(function, name)) is bool:  # "no" would count as True
+            text = f"{function.__name__}: {name} is {described(value)}"
+            raise CallError(text, field=name, value=value, remedy="give True or False")
+        return in_si(function.__name__, name, value, next(marks_in(hint, Quantity), None))
 
     @wraps(function)
     def call(*args: P.args, **named: P.kwargs) -> R:
-        for name, value in named.items():
-            if not isinstance(value, str):
-                continue
-            if (hint := _hint(function, name)) is bool:  # "no" would count as True
-                text = f"{function.__name__}: {name} is {described(value)}"
-                raise CallError(text, field=name, value=value, remedy="give True or False")
-            named[name] = in_si(function.__name__, name, value, next(marks_in(hint, Quantity), None))
+        told = *map(in_place, names, args), *args[len(names) :]
+        given = {name: in_place(name, value) for name, value in named.items()}
         try:
-            return function(*args, **named)
+            return function(*told, **given)  # type: ignore[arg-type]
         except (TypeError, AttributeError, ValueError, LookupError) as error:
-            _explain(function, (args, named), error)
+            _explain(function, (told, given), error)
             raise
 
     return call

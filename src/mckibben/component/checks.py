@@ -113,21 +113,25 @@ def as_number(value: object, unit: str = "") -> str:
 def in_si(owner: str, name: str, value: object, mark: object) -> object:
     """Return a text with a unit as a number in SI, also within a list; other values as they are.
 
-    `mark` is the `Quantity` of the field or argument `name`; without one, or with a symbolic unit, a text stays a text.
-    Raises `UnitError` and `RangeError`, as for a file.
+    `mark` is the `Quantity` of the field or argument `name`; without one, a text stays a text. Where its unit is
+    symbolic, that of the text counts: a sine may be of an angle or of a pressure. Raises `UnitError` and `RangeError`,
+    as for a file.
 
         >>> from mckibben.units import Quantity
-        >>> in_si("Pulley", "radius", "35 mm", Quantity("m", "mm"))
-        0.035
+        >>> in_si("Pulley", "radius", "35 mm", Quantity("m", "mm")), in_si("PID", "kp", "2 bar/rad", Quantity("gain"))
+        (0.035, 200000.0)
     """
-    if not isinstance(mark, Quantity) or mark.unit in SYMBOLS:
+    if not isinstance(mark, Quantity):
         return value
     if isinstance(value, list | tuple) and any(isinstance(item, str) for item in value):
         return tuple(in_si(owner, name, item, mark) for item in value)
     if not isinstance(value, str):
         return value
+    number = NUMBER.match(value.strip()) if mark.unit in SYMBOLS else None
+    if mark.unit in SYMBOLS and not (number and (written := value.strip()[number.end() :].strip())):
+        return value
     try:
-        return mark.read(value)
+        return float(number.group()) * factor(written) if number else mark.read(value)
     except (UnitError, RangeError) as error:
         error.field, error.message = name, f"{owner}: {name}: {error.message}"
         raise

@@ -283,6 +283,17 @@ def to_text(data: Mapping[str, object], *, width: int = 100) -> str:
     return text.getvalue()
 
 
+def shortened(text: str, known: str, digits: int = 6) -> str:
+    """Return YAML whose numbers have at most some digits, but for those that stand in a known text.
+
+    >>> shortened("{mass: 0.55901616813 kg, length: 201.2345678 mm}", "length: 201.2345678 mm")
+    '{mass: 0.559016 kg, length: 201.2345678 mm}'
+    """
+    number = re.compile(r"(?<![\w.])-?\d+\.\d+(?:e[-+]?\d+)?(?![\w.])")
+    kept = set(number.findall(known))
+    return number.sub(lambda found: found[0] if found[0] in kept else f"{float(found[0]):.{digits}g}", text)
+
+
 def _node(value: object, place: Place, width: int) -> object:
     """Return a value as it is dumped: scalars as text, mappings and lists of scalars on one line if they fit."""
     from ruamel.yaml.comments import CommentedMap, CommentedSeq

@@ -34,6 +34,7 @@ from mckibben.errors import (
     suggest,
 )
 from mckibben.storage.files import atomic_write, similar_file
+from mckibben.units import HINGE, JointType
 
 
 class ConfigModel(BaseModel):
@@ -98,8 +99,8 @@ class DocumentModel(ConfigModel):
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # files are validated without it
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file.
+    def read(cls, path: str | os.PathLike[str], **context: JointType) -> Self:
+        """Read a file; a `JointDocument` takes a `joint_type` as well.
 
         Raises
         ------
@@ -107,7 +108,7 @@ class DocumentModel(ConfigModel):
             With every problem of the file: line, field, value, range and remedy.
         """
         text = read_text(path, f"a {cls.kind}", cls.examples)
-        return cls.parse(text, source=os.fspath(path), folder=Path(path).parent)
+        return cls.parse(text, source=os.fspath(path), folder=Path(path).parent, **context)
 
     @classmethod
     def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
@@ -245,14 +246,25 @@ P = TypeVar("P", bound=DocumentModel)
 M = TypeVar("M")
 
 
+class JointDocument(DocumentModel):
+    """Base of documents beside that of a joint, whose units are those of the joint."""
+
+    @classmethod
+    def parse(
+        cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".", joint_type: JointType = HINGE
+    ) -> Self:
+        """Read YAML text, of a slide in its units (`joint_type=mckibben.units.SLIDE`)."""
+        return parse_model(cls, text, source=source or cls.kind, folder=folder, joint_type=joint_type)[0]
+
+
 def parse_model(
-    kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".", confined: bool = False
+    kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".", **context: object
 ) -> tuple[P, Document]:
     """Return a model from YAML text, and the document with its lines.
 
-    A `confined` text may name only files in its folder. Raises `ScenarioError` with every problem of the text.
+    A text that is `confined` may name only files in its folder. Raises `ScenarioError` with every problem of the text.
     """
-    document, context = read_document(text), {"folder": Path(folder), "confined": confined}
+    document, context = read_document(text), {"confined": False, **context, "folder": Path(folder)}
     expected = f"a {kind.kind}, see {kind.examples}"
     return validated(kind.model_validate, document, source, context, fields_by_key(kind), expected), document
 

@@ -128,8 +128,8 @@ class TreeMechanics(Tree):
         for muscle, (offset, gain) in zip(self.muscles, terms.tension, strict=True):
             limits: Any = floating(muscle.domain.pressure_min), floating(muscle.domain.pressure_max)
             if not muscle.law.is_passive:
-                low = jnp.clip((minimum_tension - offset) / gain, *limits)
-                limits = low, jnp.clip((muscle.specimen.force_limit - offset) / gain, low, limits[1])
+                low, rated = jnp.clip((minimum_tension - offset) / gain, *limits), muscle.specimen.rated_force
+                limits = low, limits[1] if rated is None else jnp.clip((rated - offset) / gain, low, limits[1])
             lowest.append(limits[0])
             highest.append(limits[1])
         return AllocationTerms(terms, tuple(lowest), tuple(highest))

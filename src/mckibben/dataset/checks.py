@@ -324,7 +324,8 @@ def _surface(points: Points) -> Iterator[Question]:
     not count.
 
     Where loads are held, the contraction has to rise with the pressure and to fall with the load, and it differs by a
-    quarter of its range; friction depends on p and x, and a muscle that is stretched may be stiff.
+    quarter of its range, by the mean slope over such a distance; friction depends on p and x, and a muscle that is
+    stretched may be stiff.
     """
     from scipy.linalg import orth
 
@@ -339,7 +340,7 @@ def _surface(points: Points) -> Iterator[Question]:
         text = "the force does not rise with the pressure and fall with the contraction"
         yield points.ask("order", f"{text}: exchanged columns, a wrong sign?", field="force")
     p, x = rows[:, 0], rows[:, 1] / np.abs(rows[:, 1]).max(initial=1e-9)
-    terms, _, slopes = _surface_terms(p, x)
+    terms = _surface_terms(p, x)[0]
     moving = np.ones(len(rows), bool) if points.rate is None or points.held else np.isfinite(points.rate)
     if points.held and points.side is not None:
         terms = np.column_stack([terms, points.side, points.side * p, points.side * x])
@@ -361,7 +362,9 @@ def _surface(points: Points) -> Iterator[Question]:
     left_out = apart[taut] / np.maximum(1 - leverage, 1e-6)  # residual of a fit without the point
     most = np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
     if points.held:
-        slope = np.abs(slopes @ solution[:6])
+        shorter, longer = (np.clip(x + 0.25 * sign * np.ptp(x), x.min(), x.max()) for sign in (1, -1))
+        forces = (_surface_terms(p, at)[0] @ solution[:6] for at in (shorter, longer))
+        slope = np.abs(np.subtract(*forces)) / (shorter - longer)
         share = apart / np.maximum(slope, 1e-9) / np.ptp(x)
         most = np.where(x[taut] < 0, np.inf, slope[taut] * np.ptp(x))
         share[x < 0] = 0.0

@@ -199,7 +199,7 @@ class IsobaricDataset(MeasuredTable):
         return self.select(close.any(axis=1))
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the points as CSV in SI units atomically; `read_dataset` reads the same numbers back.
+        """Write the points as CSV in SI units atomically, with nine digits, as `read_dataset` reads them.
 
         The attributes are comment lines at the top; other variables are left out: `to_netcdf` keeps them.
         """

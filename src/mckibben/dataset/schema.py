@@ -358,20 +358,21 @@ CSV_COLUMNS = dict(zip(VARIABLES, _CSV_HEADERS.split(), strict=False))
 
 
 def write_csv(table: xr.Dataset, path: Path) -> None:
-    """Write points as CSV: comments, header, and a row per point at full precision.
+    """Write points as CSV: comments, header, and a row per point with nine digits.
 
     Raises an `OSError` if the file cannot be written; an earlier one then stays.
     """
     attrs = table.attrs
     comments = [f"# specimen: {quote(attrs['specimen'])}", f"# source: {quote(attrs['source'])}"]
     if "initial_length" in attrs:
-        comments.append(f"# initial_length: {attrs['initial_length']!r} m")
-    comments.append(f"# slack_force: {attrs['slack_force']!r} N")
+        comments.append(f"# initial_length: {attrs['initial_length']:.9g} m")
+    comments.append(f"# slack_force: {attrs['slack_force']:.9g} N")
     comments.append(f"# preprocessing: {quote(attrs.get('preprocessing', 'none'))}")  # not to be repeated
     if "repairs" in attrs:
         comments.append(f"# repairs: {quote(attrs['repairs'])}")
     rows = table[[name for name in CSV_COLUMNS if name in table]].to_dataframe().rename(columns=CSV_COLUMNS)
-    text = rows.replace("", "unknown").to_csv(index=False, lineterminator="\n")  # directions and phases
+    rows = rows.replace("", "unknown")  # directions and phases
+    text = rows.to_csv(index=False, lineterminator="\n", float_format="%.9g")
     with atomic_write(path, overwrite=True) as sibling:
         sibling.write_text("\n".join([*comments, text]), encoding="utf-8", newline="\n")
 

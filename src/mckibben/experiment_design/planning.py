@@ -23,7 +23,7 @@ from mckibben.experiment_design.quantities import QuantityOfInterest
 from mckibben.experiment_design.result import ErrorMap, ExperimentPlan, PlannedPoint
 from mckibben.identification import Fit
 from mckibben.muscle import Domain, ForceLaw, Specimen
-from mckibben.units import bar
+from mckibben.units import Contraction, Force, Pressure, bar
 
 _UNIDENTIFIABLE = 1e-6  # relative part in the null space
 
@@ -37,9 +37,9 @@ def plan(
     points: int = 8,
     limits: Domain | None = None,
     specimen: Specimen | None = None,
-    contraction_step: float | None = None,
-    pressure_step: float = 0.25 * bar,
-    noise: float | None = None,
+    contraction_step: Contraction | None = None,
+    pressure_step: Pressure = 0.25 * bar,
+    noise: Force | None = None,
 ) -> ExperimentPlan:
     r"""Plan the measurement points that most reduce the standard error of a quantity.
 

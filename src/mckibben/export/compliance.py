@@ -9,12 +9,13 @@ spring and a damper in any posture.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from mckibben.mechanism.bodies import BodyPoint, Foot, Joint, Place
-from mckibben.mechanism.dynamics import Posture, mobilities, posture_of
+from mckibben.mechanism.dynamics import mobilities
 from mckibben.plant import PlantState
 from mckibben.plant.robot_plant import RobotPlant
 
@@ -52,7 +53,7 @@ class Compliance(NamedTuple):
 def compliance(plant: RobotPlant, start: PlantState) -> dict[str, Compliance]:
     """Compliance of the stops of each moving joint, by name, and of ground and friction of each sphere, by number."""
     robot = plant.robot
-    zero = posture_of(robot, [0.0] * len(robot.joints))
+    zero = [0.0] * len(robot.joints)
     softness: dict[str, Compliance] = {}
     for number, sphere in enumerate(robot.spheres):
         softness |= _of_ground(plant, start, sphere, zero, number)
@@ -62,14 +63,16 @@ def compliance(plant: RobotPlant, start: PlantState) -> dict[str, Compliance]:
     return softness
 
 
-def _of_ground(plant: RobotPlant, start: PlantState, foot: Foot, zero: Posture, number: int) -> dict[str, Compliance]:
+def _of_ground(
+    plant: RobotPlant, start: PlantState, foot: Foot, zero: Sequence[float], number: int
+) -> dict[str, Compliance]:
     """Compliance "ground" and "friction" of a sphere, with its number."""
     robot, ground = plant.robot, plant.ground
     carrying = robot.frame_bodies[robot.frame_names.index(foot.body)]
     centre = BodyPoint(foot.body, Place() if carrying is None else carrying.centre)
     body = float(mobilities(robot, zero, centre)[0].trace()) / 3  # MuJoCo's mean over x, y and z
     normal = np.array([float(component) for component in ground.normal])
-    mobility = float(normal @ mobilities(robot, start.position, foot)[0] @ normal)
+    mobility = float(normal @ mobilities(robot, start.angle, foot)[0] @ normal)
     if robot.base == "fixed":  # a stretched robot below a fixed base has no mobility along itself
         mobility = max(mobility, 1 / float(robot.total_mass))
     stiffness = float(ground.stiffness)

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from mckibben.config.fields import Flag
-from mckibben.config.model import ConfigModel, DocumentModel
+from mckibben.config.model import ConfigModel, JointDocument
 from mckibben.export.containment.limits import Limits
 from mckibben.units import Angle, BoundedInt, ForceTerm, PositivePressure, PositiveTime, Share, ms
 
@@ -67,7 +67,7 @@ class ForceSensor(ConfigModel):
     newtons_per_count: ForceTerm
 
 
-class Hardware(DocumentModel):
+class Hardware(JointDocument):
     """A file of hardware: limits for each exported controller, board and parts for firmware.
 
     Attributes

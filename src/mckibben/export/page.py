@@ -25,11 +25,11 @@ from mckibben.codegen.source_module import Member, SourceModule, members_of
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError, McKibbenError
 from mckibben.export.targets import Exported, filled
-from mckibben.joint import AntagonisticJoint
-from mckibben.joint.linkage import Linkage, Strand, specimen_size
+from mckibben.joint.linkage import Strand, linkage_of, specimen_size
+from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
-from mckibben.scenario import Scenario, list_parameters, with_values
-from mckibben.scenario.robot import RobotScenario
+from mckibben.plant import JointPlant
+from mckibben.scenario import Scenario, StudiedScenario, list_parameters, with_values
 from mckibben.simulation.feasibility import static_band, static_bands
 from mckibben.simulation.loop import begun, control_period
 from mckibben.simulation.metrics import Accumulation, Change, Metrics, angle_at_end, values_of
@@ -37,7 +37,7 @@ from mckibben.simulation.outcome import FOLLOWED, LEAST_MOTION, LEFT_REFERENCE_A
 from mckibben.simulation.trajectories import column_of, trajectory
 from mckibben.study.parameters.sampling import SweptParameter, parse_sweeps
 from mckibben.study.parameters.uncertainty import uncertainty
-from mckibben.units import HINGE, deg, quantity
+from mckibben.units import quantity
 
 COLUMNS = (
     *("angle", "desired_angle", "stiffness", "desired_stiffness", "torque", "pressure1", "pressure2", "command1"),
@@ -46,7 +46,7 @@ COLUMNS = (
 """Columns of a run on the page."""
 _AROUND = 0.5, 1.5  # of its value, the ends of a slider that is not asked for
 _POINTS = 49  # of the drawing, over the angle and over the contraction
-_WIDEST = 75 * deg
+_LEADS = "A pneumatic muscle sets the", "Two pneumatic muscles set stiffness and"
 _EXACT = 1e-9  # of the largest change of a number by a slider: it is linear but for rounding
 
 
@@ -81,13 +81,13 @@ class _Parts(NamedTuple):
     start: PyTree
 
 
-def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, over: Sequence[str] = ()) -> Exported:
+def page_files(scenario: StudiedScenario, name: str, folder: Path, *, over: Sequence[str] = ()) -> Exported:
     """A page of a scenario of a joint, which needs no other file and no network.
 
     Parameters
     ----------
     scenario
-        Scenario of a hinge with a controller.
+        Scenario of a joint with a controller.
     name
         Name of the program in the page.
     folder
@@ -99,11 +99,12 @@ def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, o
     Raises
     ------
     ExportError
-        For a robot or a slide, for a controller that knows setpoints in advance, for parts that need 64-bit integers,
-        and for a slider on which the numbers of plant or controller do not depend linearly.
+        For a robot, for a controller that knows setpoints in advance, for parts that need 64-bit integers, and for a
+        slider on which the numbers of plant or controller do not depend linearly.
     """
-    if isinstance(scenario, RobotScenario) or scenario.joint_type is not HINGE:
-        raise ExportError("the page draws a hinge", field="joint", remedy="write the controller of others with --to js")
+    if not isinstance(scenario, Scenario):
+        remedy = "write its controller with --to js"
+        raise ExportError("the page draws one joint", field="joints", remedy=remedy)
     parts = _parts(scenario)
     if parts.controller.samples_ahead:
         remedy = "leave out its preview"
@@ -114,29 +115,32 @@ def page_files(scenario: Scenario | RobotScenario, name: str, folder: Path, *, o
     module = page_program(parts, name, scenario.control_period, substeps)
     text = scenario.dumps(folder=folder)
     program = write_js(module, f"Simulation of the scenario {scenario.name!r}: {substeps} steps per control period.")
-    start = parts.start["angle"], parts.start["stiffness"]
+    start, kind = (parts.start["angle"], parts.start["stiffness"]), scenario.joint_type
     first = parts.reference(0.0)
+    stiffness = _stiffness_range(parts)
     settings = {
         "period": scenario.control_period,
         "periods": round(scenario.duration / scenario.control_period),
         "startsAtReference": bool(start[0] == first.angle and (np.isnan(start[1]) or start[1] == first.stiffness)),
         "columns": COLUMNS,
-        "stiffness": _stiffness_range(parts),
+        "angle": {"name": kind.words("angle"), "unit": kind.shown("deg"), "scale": kind.size("deg")},
+        "stiffness": stiffness | {"unit": kind.shown("N*m/rad"), "scale": kind.size("N*m/rad")},
         "rules": {
             "followed": FOLLOWED,
-            "left": LEFT_REFERENCE_AT,
-            "swungOver": SWUNG_OVER_AT,
+            "left": LEFT_REFERENCE_AT * kind.scale,
+            "swungOver": SWUNG_OVER_AT * kind.scale,
             "stroke": STROKE,
-            "leastAngle": LEAST_MOTION[0],
+            "leastAngle": LEAST_MOTION[0] * kind.scale,
             "leastStiffness": LEAST_MOTION[1],
         },
-        "outcomes": {outcome.name: outcome.sentence(scenario.joint_type) for outcome in OUTCOMES},
+        "outcomes": {outcome.name: outcome.sentence(kind) for outcome in OUTCOMES},
         "sliders": [_described(slider) for slider in sliders],
-        "drawing": _drawing(scenario.joint),
+        "drawing": _drawing(parts.plant),
     }
     values = {
         "title": scenario.name,
         "name": name,
+        "lead": f"{_LEADS[stiffness['isAsked'] > 0]} {kind.words('angle')}",
         "settings": _script(json.dumps(settings)),
         "program": _script(program),
     }
@@ -277,9 +281,10 @@ def _slider(scenario: Scenario, numbers: _Numbers, swept: SweptParameter) -> Sli
     slopes, of_model = {}, {}
     of_plant = swept.parameter.part in scenario.plant_parts
     for member, base, first, last, middle in zip(numbers.members, numbers.values, *values, strict=True):
-        slope = (last - first) / (high - low)
-        bent = np.abs(middle - (first + last) / 2) + np.abs(base - first - slope * (nominal - low))
-        if np.any(np.nan_to_num(bent) > _EXACT * np.abs(last - first)):
+        with np.errstate(invalid="ignore"):  # limits that are infinite, and stay so
+            slope = (last - first) / (high - low)
+            bent = np.abs(middle - (first + last) / 2) + np.abs(base - first - slope * (nominal - low))
+        if np.any(np.nan_to_num(bent) > _EXACT * np.nan_to_num(np.abs(last - first))):
             text = f"{member.path} does not depend on {swept.name} linearly"
             raise ExportError(text, field=swept.name, remedy="give another slider")
         if np.any(np.nan_to_num(slope)):
@@ -335,42 +340,64 @@ def _described(slider: Slider) -> dict[str, object]:
     }
 
 
-def _stiffness_range(parts: _Parts) -> list[float]:
-    """Lowest and highest stiffness [N*m/rad] at which the joint holds its load at an angle of the drawing."""
-    low, high = static_band(parts.plant, np.linspace(-_WIDEST, _WIDEST, _POINTS), None)
-    return [float(np.nanmin(low)), float(np.nanmax(high))]
+def _stiffness_range(parts: _Parts) -> dict[str, float | bool]:
+    """Lowest and highest stiffness [N*m/rad] at which the joint holds its load as drawn; whether one is asked for."""
+    low, high = static_band(parts.plant, _drawn(parts.plant), None)
+    lowest, highest = float(np.nanmin(low)), float(np.nanmax(high))
+    return {"low": lowest, "high": highest, "isAsked": bool(np.isfinite(parts.reference(0.0).stiffness))}
 
 
-def _drawing(joint: AntagonisticJoint) -> dict[str, object]:
-    """Points [m] of both muscles and pulleys over the angle, and sizes of the muscles over the contraction."""
-    low, high = joint.geometry.angle_range
-    angles = np.linspace(max(low, -_WIDEST), min(high, _WIDEST), _POINTS)
-    linkage = Linkage(joint.geometry)
+def _drawn(plant: JointPlant) -> NDArray[np.float64]:
+    """Angles [rad] of the drawing."""
+    joint = plant.joint
+    (low, high), limits = joint.geometry.span(joint.muscles), joint.geometry.angle_range
+    return np.linspace(max(low, limits[0]), min(high, limits[1]), _POINTS)
 
-    def rounded(points: ArrayLike) -> list:
-        return np.round(points, 5).tolist()
 
-    def described(strand: Strand) -> dict[str, list]:
-        return {"start": rounded(strand.start), "end": rounded(strand.end), "wrap": rounded(strand.wrap[::5])}
+def _drawing(plant: JointPlant) -> dict[str, object]:
+    """Bodies, pulleys and muscles over the angle, and sizes of the muscles over the contraction.
 
-    sizes = []
-    for muscle in joint.muscles:
-        contractions = np.linspace(muscle.domain.contraction_min, muscle.domain.contraction_max, _POINTS)
-        length, width = specimen_size(muscle.specimen, contractions)
-        of_muscle = {
-            "contractions": rounded(contractions),
-            "lengths": rounded(length),
-            "widths": None if width is None else rounded(width),
-            "spring": not muscle.law.pulls,
-            "highest": float(muscle.domain.pressure_max),
-        }
-        sizes.append(of_muscle)
+    Points are in the picture: its unit is a thousandth of the mechanism, y points down, and the fixed limb upwards.
+    """
+    joint, angles = plant.joint, _drawn(plant)
+    linkage = linkage_of(joint.geometry, angles.tolist(), plant.load)
+    scale, (x, y) = 1000 / linkage.height, linkage.up
+    frame = scale * np.array([[y, -x], [-x, -y]])
+
+    def placed(points: ArrayLike) -> list:
+        return np.round(np.asarray(points) @ frame.T, 1).tolist()
+
+    def described(strand: Strand | None) -> dict[str, list] | None:
+        if strand is None:
+            return None
+        return {"start": placed(strand.start), "end": placed(strand.end), "wrap": placed(strand.wrap[::5])}
+
+    bodies = [linkage.bodies(angle) for angle in angles.tolist()]
     return {
-        "up": linkage.up.tolist(),
-        "height": linkage.height,
-        "straight": linkage.straight,
         "angles": angles.tolist(),
-        "strands": [list(map(described, linkage.strands(float(angle)))) for angle in angles],
-        "cams": [[rounded(cam[::4]) for cam in linkage.cams(float(angle))] for angle in angles],
-        "muscles": sizes,
+        "strands": [list(map(described, linkage.strands(angle))) for angle in angles.tolist()],
+        "cams": [[placed(cam[::4]) for cam in linkage.cams(angle)] for angle in angles.tolist()],
+        "thick": [list(map(placed, each.thick)) for each in bodies],
+        "thin": [list(map(placed, each.thin)) for each in bodies],
+        "moving": [placed(linkage.moving(angle)) for angle in angles.tolist()],
+        "tips": [placed(linkage.tip(angle)) for angle in angles.tolist()],
+        "masses": [placed(linkage.masses(angle)) for angle in angles.tolist()],
+        "pivots": placed(linkage.pivots),
+        "muscles": [_muscle_sizes(muscle, scale) for muscle in joint.muscles],
+    }
+
+
+def _muscle_sizes(muscle: Muscle, scale: float) -> dict[str, object]:
+    """Highest pressure of a muscle, and its length and width in the picture over the contraction; none for a spring."""
+    highest = float(muscle.domain.pressure_max)
+    if muscle.law.is_passive:
+        return {"spring": True, "highest": highest}
+    contractions = np.linspace(muscle.domain.contraction_min, muscle.domain.contraction_max, _POINTS)
+    length, width = specimen_size(muscle.specimen, contractions)
+    return {
+        "spring": False,
+        "highest": highest,
+        "contractions": np.round(contractions, 5).tolist(),
+        "lengths": np.round(scale * length, 1).tolist(),
+        "widths": None if width is None else np.round(scale * width, 1).tolist(),
     }

@@ -78,12 +78,13 @@ class InverseTable(Result):
         return np.select([load == held for held in loads], curves, pressure)
 
     def write(self, folder: Path) -> None:
-        """Write the table as CSV, and as a C header with its interpolation."""
+        """Write the table as CSV, and as a C header with its interpolation, with six digits."""
         from mckibben.codegen.templates import filled  # 25 ms
 
         names = {"load": "load_N", "contraction": "contraction_ratio", "pressure": "pressure_Pa"}
         columns = {name: getattr(self, name) for name in ("load", "direction", "contraction", "pressure")}
-        loads, row = np.unique(self.load, return_inverse=True)
+        columns |= {name: np.array([float(f"{value:.6g}") for value in columns[name]]) for name in names}
+        loads, row = np.unique(columns["load"], return_inverse=True)
         starts = np.searchsorted(2 * row + (self.direction == "loading"), np.arange(2 * len(loads) + 1))
         values = {"loads": loads.tolist(), "starts": starts.tolist(), "rmse": f"{self.rmse:.3g}"}
         values |= {name: columns[name].tolist() for name in ("contraction", "pressure")}

@@ -1,5 +1,7 @@
 """Fit files: the law as in any other file, and the numbers of its fit in SI, with the points if there are not too many.
 
+Parameters have the digits that the residuals justify, points and domain nine, other numbers of the fit six.
+
 A law written by hand is such a file, too: ``law: {class: chou, braid_angle: 25 deg, initial_diameter: 10 mm}``.
 """
 
@@ -20,6 +22,8 @@ from mckibben.config.document import to_text
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import McKibbenWarning, RangeError
+from mckibben.identification.estimator import standard_errors
+from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.regression import Regression, RobustErrors
 from mckibben.identification.smooth import Prior, prior_scales, restored_regression
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
@@ -28,8 +32,11 @@ from mckibben.muscle.muscle import CHECK_LAW
 from mckibben.muscle.slopes import unphysical
 from mckibben.result import Remark
 from mckibben.storage.files import atomic_write
+from mckibben.units import justified
 
 _HEAD = "# A force law identified by mckibben. The numbers of its fit are in SI: N, Pa, and those of the parameters.\n"
+_DIGITS = {"data": 9, "correlations": 17}
+"""Digits of numbers below a key; others have six."""
 _COLUMNS = ("pressure", "contraction", "force", "set_pressure", "set_force", "direction", "phase", "repeat")
 
 
@@ -85,7 +92,7 @@ class _FitNumbers(ConfigModel):
     points_used: Annotated[int, Field(ge=0)]
     points_slack: Annotated[int, Field(ge=0)]
     leave_one_pressure_out: LeaveOnePressureOut | None = None
-    correlations: list[list[float]]
+    correlations: list[list[float]] | None = None  # of a fit without points; near 1, all their digits count
     notes: list[Remark]
     dataset: DatasetSummary
     outliers: list[Outlier] = []  # noqa: RUF012
@@ -111,9 +118,8 @@ class _FitFile(DocumentModel):
         except RangeError as error:
             fail_validation(error.message, error.remedy, field="equation", value=self.equation)
         names = [p.name for p in kind.parameters()]
-        if self.fit and (
-            list(self.fit.standard_errors) != names or np.shape(self.fit.correlations) != (len(names),) * 2
-        ):
+        known = self.fit and (self.fit.data or np.shape(self.fit.correlations or ()) == (len(names),) * 2)
+        if self.fit and (list(self.fit.standard_errors) != names or not known):
             message = f"has no standard errors and correlations for the parameters {', '.join(names)}"
             fail_validation(message, "keep the order of the parameters", field="fit")
         return self
@@ -121,17 +127,42 @@ class _FitFile(DocumentModel):
 
 def write_fit(fit: Any, path: Path) -> None:
     """Write a `Fit`; the file appears complete or not at all."""
+    points = _FitPoints.of(fit.regression)
     numbers = _FitNumbers(
         **{name: getattr(fit, name) for name in _FitNumbers.model_fields if name not in ("correlations", "data")},
-        correlations=np.asarray(fit.correlations).tolist(),
-        data=_FitPoints.of(fit.regression),
+        correlations=None if points else np.asarray(fit.correlations).tolist(),
+        data=points,
     )
     kind = type(fit.law)
     file = _FitFile(law=fit.law, equation=kind.equation, fit=numbers)
     content = json.loads(file.model_dump_json(exclude_none=True, context={"folder": path.parent}))
+    content["law"] = rounded_law(content["law"], fit.law, fit.rmse)
     content["law"].pop("equation", None)  # stands at the top
+    content["fit"] = _shortened(content["fit"], 6)
     with atomic_write(path, overwrite=True) as sibling:
         sibling.write_text(_HEAD + to_text(content, width=200), encoding="utf-8")
+
+
+def rounded_law(section: dict[str, str], law: ForceLaw, error: float) -> dict[str, str]:
+    """Section of a law in a file with numbers that move its force in its domain by less than 1 % of an error [N].
+
+    Correlated parameters need more digits than their own errors have.
+    """
+    names, domain = [p.name for p in type(law).parameters()], law.domain
+    contractions = np.linspace(domain.contraction_min, domain.contraction_max, 9)
+    grid = np.meshgrid(contractions, np.linspace(domain.pressure_min, domain.pressure_max, 9))
+    slopes = np.abs(design_matrix(law, names, *map(np.ravel, grid))).max(axis=0)
+    errors = 0.1 * max(error, 1e-12) / (len(names) * np.maximum(slopes, 1e-300))
+    return section | {name: justified(section[name], at) for name, at in zip(names, errors.tolist(), strict=True)}
+
+
+def _shortened(value: object, digits: int) -> object:
+    """Plain data whose numbers have at most some digits, or those of their key."""
+    if isinstance(value, dict):
+        return {key: _shortened(item, _DIGITS.get(key, digits)) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_shortened(item, digits) for item in value]
+    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
 
 
 def read_law(path: str | os.PathLike[str]) -> ForceLaw:
@@ -160,12 +191,16 @@ def read_fields(path: Path) -> dict[str, Any] | None:
         at_bound = np.isnan(list(numbers.standard_errors.values()))
         scales = None if points.prior_scales is None else np.array(points.prior_scales)
         regression = restored_regression(law, table, at_bound, scales)
+        residuals, jacobian = regression.solution.augmented
+        correlations = standard_errors(jacobian, residuals, at_bound)[1]
+    else:
+        correlations = np.array(numbers.correlations)
     return {
         **{name: getattr(numbers, name) for name in _FitNumbers.model_fields if name != "data"},
         "law": law,
         "notes": tuple(numbers.notes),
         "outliers": tuple(numbers.outliers),
-        "correlations": np.array(numbers.correlations),
+        "correlations": correlations,
         "residuals": regression.solution.residuals if regression else None,
         "regression": regression,
     }

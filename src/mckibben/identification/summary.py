@@ -182,18 +182,24 @@ def size_remarks(
 def domain_of(points: IsobaricDataset, measured: IsobaricDataset | None = None) -> Domain:
     """Range of contractions and pressure levels of the points; measured pressures replace levels that they miss.
 
-    With all `measured` points, the slack ones included, also their hull within this range, unless it is the range.
+    With all `measured` points, the slack ones included, also their hull within this range, unless it is the range. Both
+    have the digits by which points outside are told.
     """
-    low, high = (bound(places_of(points), axis=0) for bound in (np.min, np.max))
+    low, high = (_rounded(bound(places_of(points), axis=0)) for bound in (np.min, np.max))
     box = Domain(*(float(end) for ends in zip(low, high, strict=True) for end in ends))
     if measured is None or (low == high).any():
         return box
-    corners = np.clip(places_of(measured), low, high)
+    corners = np.clip(_rounded(places_of(measured)), low, high)
     hull = _hull((corners - low) / (high - low))
     if hull.volume > 1 - CONTRACTION_NOISE:
         return box
     contractions, pressures = corners[hull.vertices].T.tolist()
     return dataclasses.replace(box, hull_contractions=tuple(contractions), hull_pressures=tuple(pressures))
+
+
+def _rounded(places: Floats) -> Floats:
+    """Contractions and pressures, shape (..., 2), to 1e-10 and 0.1 mPa."""
+    return np.stack([places[..., 0].round(10), places[..., 1].round(4)], axis=-1)
 
 
 def hull_distance(domain: Domain, places: Floats, corners: Floats | None = None) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from numbers import Real
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -31,11 +32,8 @@ class Geometry(Component):
     """Path lengths of both muscles over the joint angle; moment arms follow by differentiation."""
 
     default_class = "knee"
-
-    @property
-    def joint_type(self) -> JointType:
-        """How the joint moves."""
-        return HINGE
+    joint_type: ClassVar[JointType] = HINGE
+    """How the joint moves."""
 
     @property
     def angle_range(self) -> tuple[float, float]:
@@ -156,7 +154,7 @@ class ScaledArms(Geometry):
     angle: Angle = 0.0
 
     @property
-    def joint_type(self) -> JointType:
+    def joint_type(self) -> JointType:  # type: ignore[override]
         return self.geometry.joint_type
 
     def span(self, muscles: tuple[Muscle, Muscle]) -> tuple[float, float]:

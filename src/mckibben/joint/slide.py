@@ -11,7 +11,7 @@ from mckibben.errors import RangeError
 from mckibben.joint.geometry import Geometry, Pair
 from mckibben.muscle import Domain, Muscle
 from mckibben.numerics.elementary import floating
-from mckibben.units import SLIDE, JointType, Length, mm
+from mckibben.units import SLIDE, Length, mm
 
 POSSIBLE = Domain(-0.5, 0.8)
 """Contractions of any muscle."""
@@ -37,13 +37,10 @@ class Slide(Geometry):
     """
 
     short_name = "slide"
+    joint_type = SLIDE
 
     rest_length1: Length | None = None
     rest_length2: Length | None = None
-
-    @property
-    def joint_type(self) -> JointType:
-        return SLIDE
 
     @property
     def _rest_lengths(self) -> tuple[float, float]:

@@ -57,9 +57,10 @@ class Mechanism(abc.ABC):
         """Names of the muscles of named joints."""
         return ()
 
+    @property
     @abc.abstractmethod
-    def components(self, kind: type) -> tuple[Component, ...]:
-        """Return its parts of a class that a controller's model may have as well."""
+    def parts(self) -> tuple[Component, ...]:
+        """Parts that a controller's model may have as well."""
 
     @property
     @abc.abstractmethod
@@ -75,6 +76,11 @@ class Mechanism(abc.ABC):
     def has_contacts(self) -> bool:
         """Whether it may touch the ground."""
         return False
+
+    def names_along(self, axis: str) -> tuple[str, ...]:
+        """Return the names along an axis "joint" or "muscle" of results; muscles of an unnamed joint have numbers."""
+        numbers = tuple(str(number) for number, _ in enumerate(self.muscles, 1))
+        return {"joint": self.joint_names, "muscle": self.muscle_names or numbers}.get(axis, ())
 
     @abc.abstractmethod
     def by_joint(self, value: PyTree) -> tuple[PyTree, ...]:

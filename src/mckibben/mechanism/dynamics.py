@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
+from mckibben.codegen.engine import compiled
 from mckibben.joint import GeneralLoad
 from mckibben.mechanism.articulated import accelerations
 from mckibben.mechanism.bodies import BodyPoint, Foot
@@ -21,6 +22,7 @@ from mckibben.mechanism.tree import MASSLESS, BodyInertia, Equations, Frame, Tre
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, difference, product, total
 
 Scalar = Float[Array, ""]
+Floats = NDArray[np.float64]
 
 SLIDES = {"x": X, "y": Y, "z": Z}
 """Directions of the base's translations."""
@@ -248,35 +250,52 @@ def joint_equations(
     return Equations([[made.matrix[max(i, j)][min(i, j)] for j in order] for i in order], made.bias)
 
 
-def joint_load(robot: Robot, angles: Sequence[ArrayLike], index: int, gravity: float) -> GeneralLoad:
-    """Return the load on a joint near a posture, the other joints held: inertia, damping, and torque of gravity."""
+def equations_at_rest(robot: Robot, angles: ArrayLike, gravity: ArrayLike = 0.0) -> tuple[Floats, Floats]:
+    """Return the mass matrix of base and joints, and their bias, in postures at rest with the base upright.
 
-    def held(angle: Array) -> Array:
-        posture = [*angles[:index], angle, *angles[index + 1 :]]
-        return joint_equations(robot, posture, [0.0] * len(posture), gravity).bias[index] * jnp.ones(())
+    Angles [rad] have shape (postures, joints); what is returned has the postures as its first axis.
+    """
+    matrix, bias = _at_rest((robot, gravity), tuple(np.ascontiguousarray(np.asarray(angles, float).T)))
+    size = range(len(bias))
+    whole = np.array([[matrix[max(i, j)][min(i, j)] for j in size] for i in size])
+    return np.moveaxis(whole, -1, 0), np.stack(bias, axis=-1)
 
-    at = jnp.asarray(angles[index], float)
-    torque, slope = (float(one) for one in jax.jvp(held, (at,), (jnp.ones_like(at),)))
-    inertia = float(joint_equations(robot, angles, [0.0] * len(angles), gravity).matrix[index][index])
-    hanging = float(at) - math.atan2(torque, slope)
-    return GeneralLoad(inertia, math.hypot(torque, slope), robot.joints[index].damping, hanging)
+
+@compiled
+def _at_rest(parts: tuple[Robot, ArrayLike], angles: tuple[Array, ...]) -> Equations:
+    """Equations of motion at rest, many postures along the last axis."""
+    robot, gravity = parts
+    posture = posture_of(robot, angles)
+    made = motion_equations(robot, posture, at_rest(posture), gravity)
+    return jax.tree.map(lambda number: number + jnp.zeros_like(angles[0]), made)
+
+
+def joint_load(robot: Robot, angles: Sequence[float], index: int, gravity: float) -> GeneralLoad:
+    """Return the load on a joint near a posture, the other joints held: inertia, damping, and torque of gravity.
+
+    The torque of a spring has the slope of that at the posture.
+    """
+    joint, row = robot.joints[index], len(robot.motions) + sum(one.locked is None for one in robot.joints[:index])
+    postures = np.array([angles, angles], float)
+    postures[1, index] += math.pi / 2  # where gravity has the torque that is its slope at the posture
+    matrix, bias = equations_at_rest(robot, postures, gravity)
+    torque, slope = bias[:, row] - [0.0, joint.spring_torque(postures[1, index])]
+    slope += 0.0 if joint.spring is None else joint.spring
+    hanging = postures[0, index] - math.atan2(torque, slope)
+    return GeneralLoad(float(matrix[0, row, row]), math.hypot(torque, slope), joint.damping, float(hanging))
 
 
 def mobilities(
-    robot: Robot, posture: Posture, point: BodyPoint | Foot | None = None
+    robot: Robot, angles: Sequence[ArrayLike], point: BodyPoint | Foot | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the acceleration of a point per force on it [1/kg] and those of the joints per torque [1/(kg*m^2)].
 
-    Shapes (3, 3), forwards, to the left and up, and (joints, joints), 0 for locked joints; NaN where a joint turns
-    bodies without inertia. The point of a sphere is its lowest; no point has no mobility.
+    At rest in a posture of angles [rad]. Shapes (3, 3), forwards, to the left and up, and (joints, joints), 0 for
+    locked joints; NaN where a joint turns bodies without inertia. The point of a sphere is its lowest; no point has no
+    mobility.
     """
-    still = at_rest(posture)
-    tree = _tree(robot, posture, still)
-    found = tree.frames()
-    rows = [list(map(float, row)) for row in motion_equations(robot, posture, still, 0.0).matrix]
-    size = len(rows)
-    lower = np.array([row + [0.0] * (size - len(row)) for row in rows]).reshape(size, size)
-    matrix = lower + np.tril(lower, -1).T
+    matrix = equations_at_rest(robot, np.array([angles], float))[0][0]
+    size = len(matrix)
     singular = np.linalg.matrix_rank(matrix) < size
     inverse = np.full((size, size), np.nan) if singular else np.linalg.inv(matrix)
     free = [index for index, joint in enumerate(robot.joints) if joint.locked is None]
@@ -284,6 +303,9 @@ def mobilities(
     joints[np.ix_(free, free)] = inverse[first:, first:]
     moved = np.zeros((size, 3))
     if point is not None:
+        posture = posture_of(robot, angles)
+        tree = _tree(robot, posture, at_rest(posture))
+        found = tree.frames()
         body = tree.base + robot.frame_names.index(point.body)
         place = found[body].point(point.place.vector)[0]
         if isinstance(point, Foot):

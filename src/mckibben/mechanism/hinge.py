@@ -36,8 +36,9 @@ class Hinge(Mechanism):
     def joint_type(self) -> JointType:
         return self.joint.joint_type
 
-    def components(self, kind: type) -> tuple[Component, ...]:
-        return (self.joint,) if kind is AntagonisticJoint else ()
+    @property
+    def parts(self) -> tuple[Component, ...]:
+        return (self.joint,)
 
     @property
     def frictions(self) -> tuple[JointFriction | None]:

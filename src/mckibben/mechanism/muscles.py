@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from mckibben.component.base import Component
+from mckibben.component.base import Component, once
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Geometry, MusclePath, RigidTendon, Tendon
 from mckibben.joint.route import Bends, Route, pair_routes
@@ -144,7 +144,7 @@ class MusclePair(MuscleUnit):
     muscle2: Muscle
     tendon: Tendon = RigidTendon()
 
-    @property
+    @once
     def pair(self) -> AntagonisticJoint:
         return AntagonisticJoint(self.geometry, self.muscle1, self.muscle2, self.tendon)
 

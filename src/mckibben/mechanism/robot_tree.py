@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.component.base import Component
-from mckibben.joint import AntagonisticJoint
 from mckibben.joint.route import Route, secant_stiffness
 from mckibben.mechanism.base import Mechanism, Statics
 from mckibben.mechanism.bodies import MOTIONS
@@ -36,10 +35,9 @@ class Tree(Mechanism):
     def muscles(self) -> tuple[Muscle, ...]:
         return self.robot.all_muscles
 
-    def components(self, kind: type) -> tuple[Component, ...]:
-        if kind is AntagonisticJoint:
-            return tuple(map(self.robot.pair, self.robot.pairs))
-        return (self.robot,) if kind is Robot else ()
+    @property
+    def parts(self) -> tuple[Component, ...]:
+        return (self.robot, *map(self.robot.pair, self.robot.pairs))
 
     @property
     def joint_names(self) -> tuple[str, ...]:

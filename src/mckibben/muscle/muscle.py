@@ -16,7 +16,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.component.base import Component
+from mckibben.component.base import Component, once
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import known_numbers
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
@@ -116,7 +116,7 @@ class Muscle(Component):
         words += [type(effect).__name__ for effect in (self.friction, self.creep) if self._is_dynamic(effect)]
         return f"Muscle({', '.join(words)})"
 
-    @property
+    @once
     def domain(self) -> Domain:
         """Intersection of the domains of the specimen and the law; pressures of the specimen with `extrapolate`."""
         measured = self.law.domain
@@ -148,7 +148,7 @@ class Muscle(Component):
     def check_pressure_limit(self) -> None:
         """Raise `RangeError` if neither specimen nor law limits the pressure, or if the limit is in bar."""
         highest = self.domain.pressure_max
-        if isinstance(highest, Real) and not (highest <= 0 or LEAST_PRESSURE <= highest < jnp.inf):
+        if isinstance(highest, float | int) and not (highest <= 0 or LEAST_PRESSURE <= highest < jnp.inf):
             stated = "unknown" if highest == jnp.inf else f"{highest:g} Pa; numbers are in SI"
             message = f"the highest pressure of the muscle {self.specimen.name!r} is {stated}"
             remedy = "give the specimen a domain with its pressure_max, such as 6 * bar"

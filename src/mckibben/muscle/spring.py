@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Inherited
+from mckibben.component.calls import checked_call
 from mckibben.muscle.base import PressureAffineLaw
 from mckibben.muscle.muscle import Muscle
 from mckibben.muscle.specimen import Domain, Specimen
@@ -72,7 +73,8 @@ def no_muscle() -> Muscle:
     return Muscle(Specimen("no muscle", 1.0, domain=law.domain, volume_terms=(_VOLUME,)), law)
 
 
-def return_spring(rate: float, free_length: float) -> Muscle:
+@checked_call
+def return_spring(rate: SpringRate, free_length: Length) -> Muscle:
     """A tension spring in place of a muscle of a joint; its pressure is 0, and it is slack without tension.
 
     Parameters

@@ -100,8 +100,7 @@ class RobotPlant(Plant):
     def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
         """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
         robot, ground = self.robot, self.ground
-        posture = posture_of(robot, angles)
-        of_joints, points = mobilities(robot, posture)[1], [mobilities(robot, posture, one)[0] for one in robot.spheres]
+        of_joints, points = mobilities(robot, angles)[1], [mobilities(robot, angles, one)[0] for one in robot.spheres]
         if not (np.abs(of_joints) < _MOST_MOBILE).all():  # NaN included
             raise SimulationError(
                 "a joint turns bodies without inertia about its axis",

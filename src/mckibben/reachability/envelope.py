@@ -38,7 +38,7 @@ from mckibben.statics.attainable import held_statics
 from mckibben.statics.posture import HeldPostures, check_affine, holding_torques
 from mckibben.statics.pressures import held_joint_stiffness
 from mckibben.statics.reference import POSTURES
-from mckibben.units import bar
+from mckibben.units import JointType, bar
 
 _ENDS = "lowest", "highest"
 _NONE = "no smaller motion about the same centre, and no constant stiffness along it, is feasible either"
@@ -100,10 +100,7 @@ class JointReach(NamedTuple):
             columns |= {f"p{i} at {end}": (pressure, np.round(row[at]) + 0.0) for i, row in enumerate(pressures, 1)}
         for end, names in zip(_ENDS, static.limits, strict=True):
             columns |= {f"{end} limited by": (Column(), np.array(names)[at])} if names else {}
-        columns = {
-            static.joint_type.words(name): (mark.for_joint(static.joint_type), values)
-            for name, (mark, values) in columns.items()
-        }
+        columns = {static.joint_type.words(name): column for name, column in columns.items()}
         return Listing(title, columns, detail)
 
 
@@ -133,6 +130,10 @@ class Envelope(Result):
     together: bool = True
 
     figures = ("envelope",)
+
+    @property
+    def joint_type(self) -> JointType:
+        return self.scenario.joint_type
 
     @property
     def only(self) -> JointReach:

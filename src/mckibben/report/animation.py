@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mckibben.errors import ParameterError, SimulationError
-from mckibben.joint.linkage import Linkage, muscle_sizes
+from mckibben.joint.linkage import linkage_of, muscle_sizes
 from mckibben.mechanism.outline import BASE, outline
-from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
+from mckibben.report.drawing import JointPicture, outer_points
 from mckibben.report.palette import MEASURED
 from mckibben.report.robot import BONE, set_space
 from mckibben.report.style import DESIRED, Look, looks_of, pressure_colours, robust_limits, styled
@@ -154,13 +154,12 @@ def _pressure_scale(figure: SubFigure, axes: Axes, highest: float) -> ScalarMapp
 
 def _stage_of_joint(figure: SubFigure, result: SimulationResult, plant: JointPlant, at: NDArray[np.int64]) -> Stage:
     angles = result["angle"][at]
-    linkage = Linkage(plant.joint.geometry, (float(angles.min()), float(angles.max())))
+    linkage = linkage_of(plant.joint.geometry, (float(angles.min()), float(angles.max())), plant.load)
     lengths, diameters = muscle_sizes(plant.joint, (result["contraction1"][at], result["contraction2"][at]))
     pressures = np.array([result["pressure1"][at], result["pressure2"][at]]) / bar
     stage = figure.subplots()
-    limb, masses = limb_and_masses(plant, linkage)
-    picture = JointPicture(stage, linkage, limb, masses, plant.joint.springs)
-    box = outer_points(linkage, limb, np.linspace(angles.min(), angles.max(), 5).tolist())
+    picture = JointPicture(stage, linkage, plant.joint.springs)
+    box = outer_points(linkage, np.linspace(angles.min(), angles.max(), 5).tolist())
     margin = 0.05 * np.ptp(box, axis=0).max()
     stage.set_xlim(box[:, 0].min() - margin, box[:, 0].max() + margin)
     stage.set_ylim(box[:, 1].min() - margin, box[:, 1].max() + margin)

@@ -11,13 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Circle, Polygon
 from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_kind
-from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, PendulumLoad
-from mckibben.joint.linkage import SLENDER, Linkage, Points, Strand, muscle_sizes
+from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry
+from mckibben.joint.linkage import SLENDER, Linkage, Points, SlideLinkage, linkage_of, muscle_sizes
 from mckibben.plant import JointPlant
 from mckibben.report.palette import BLACK, GREY, MUSCLES
 from mckibben.report.style import blank, minus, pressure_colours, styled
@@ -40,65 +41,61 @@ class JointPicture:
         Panel, whose axes are hidden.
     linkage
         Geometry of the joint, scaled for drawing.
-    limb, masses
-        Length [m] of the moving limb, and distances [m] of its point masses from the joint axis.
     springs
         Whether muscles 1 and 2 are return springs, which are drawn as coils.
     """
 
-    def __init__(
-        self, axes: Axes, linkage: Linkage, limb: float, masses: Sequence[float], springs: tuple[bool, bool]
-    ) -> None:
-        self.linkage, self._limb, self._masses, self._springs = linkage, limb, masses, springs
-        scale = linkage.height
+    def __init__(self, axes: Axes, linkage: Linkage | SlideLinkage, springs: tuple[bool, bool]) -> None:
+        self.linkage, self._springs = linkage, springs
         axes.set_aspect("equal")
         axes.axis("off")
-        fixed = np.array([np.zeros(2), scale * linkage.up])
-        axes.plot(*fixed.T, color=_BONE, linewidth=9, solid_capstyle="round", zorder=1)
-        ends = [strand.start for strand in linkage.strands(0.0)]
-        axes.plot(*np.array([ends[0], scale * linkage.up, ends[1]]).T, color=_BONE, linewidth=5, zorder=1)
+        bodies, strands = linkage.bodies(0.0), linkage.strands(0.0)
+
+        def lines(count: int, width: float) -> list[Line2D]:
+            return [
+                axes.plot([], [], color=_BONE, linewidth=width, solid_capstyle="round", zorder=1)[0]
+                for _ in range(count)
+            ]
+
+        self._thick, self._thin = lines(len(bodies.thick), 9), lines(len(bodies.thin), 5)
         self._cams = [Polygon(outline, facecolor=_PLATE, linewidth=0, zorder=2) for outline in linkage.cams(0.0)]
-        self._bone = axes.plot([], [], color=_BONE, linewidth=9, solid_capstyle="round", zorder=2)[0]
-        self._levers = axes.plot([], [], color=_BONE, linewidth=5, solid_capstyle="round", zorder=2)[0]
         self._weights = axes.plot([], [], "o", color="#6B7480", markersize=9, zorder=3)[0]
-        self._cables = [axes.plot([], [], color=_CABLE, linewidth=1.6, zorder=4)[0] for _ in ends]
+        self._cables = [axes.plot([], [], color=_CABLE, linewidth=1.6, zorder=4)[0] for _ in strands]
         self._bodies = [
-            Polygon(np.zeros((3, 2)), closed=True, linewidth=0.8, edgecolor="#333333", zorder=5) for _ in ends
+            Polygon(np.zeros((3, 2)), closed=True, linewidth=0.8, edgecolor="#333333", zorder=5) for _ in strands
         ]
         for patch in (*self._cams, *self._bodies):
             axes.add_patch(patch)
-        axes.add_patch(Circle((0, 0), 0.012 * scale, facecolor="white", edgecolor=BLACK, linewidth=1.0, zorder=6))
-        self.artists = [*self._cams, self._bone, self._levers, self._weights, *self._cables, *self._bodies]
+        for x, y in linkage.pivots:
+            radius = 0.012 * linkage.height
+            axes.add_patch(Circle((x, y), radius, facecolor="white", edgecolor=BLACK, linewidth=1.0, zorder=6))
+        self.artists = [*self._thick, *self._thin, *self._cams, self._weights, *self._cables, *self._bodies]
 
     def update(
         self, angle: float, lengths: Sequence[float], diameters: Sequence[float | None], colours: Sequence[ColorType]
-    ) -> tuple[Strand, Strand]:
+    ) -> None:
         """Move all artists.
 
         Parameters
         ----------
         angle
-            Joint angle [rad].
+            Joint angle [rad], or position [m].
         lengths, diameters
             Length and diameter [m] of each muscle; None for an unknown diameter.
         colours
             Colour of each muscle.
-
-        Returns
-        -------
-        tuple of Strand
-            Lines of action of muscles 1 and 2.
         """
         linkage = self.linkage
         strands = linkage.strands(angle)
         for patch, outline in zip(self._cams, linkage.cams(angle), strict=True):
             patch.set_xy(outline)
-        self._bone.set_data(*np.array([np.zeros(2), linkage.limb(angle, self._limb)]).T)
-        anchors = [strand.end for strand, straight in zip(strands, linkage.straight, strict=True) if straight]
-        levers = [point for end in anchors for point in (end, np.zeros(2))]
-        self._levers.set_data(*np.array(levers).reshape(-1, 2).T)
-        self._weights.set_data(*np.array([linkage.limb(angle, at) for at in self._masses]).reshape(-1, 2).T)
+        bodies = linkage.bodies(angle)
+        for artist, line in zip((*self._thick, *self._thin), (*bodies.thick, *bodies.thin), strict=True):
+            artist.set_data(*line.T)
+        self._weights.set_data(*linkage.masses(angle).T)
         for index, strand in enumerate(strands):
+            if strand is None:
+                continue
             first, last = strand.body(lengths[index])
             cable = [strand.start, first, (np.nan, np.nan), last, strand.end, *strand.wrap]
             diameter = diameters[index]
@@ -108,7 +105,6 @@ class JointPicture:
             self._cables[index].set_data(*np.array(cable).T)
             self._bodies[index].set_xy(_body(first, last, width))
             self._bodies[index].set(facecolor=colours[index], visible=not self._springs[index])
-        return strands
 
 
 def _frame(first: Points, last: Points) -> tuple[Points, Points]:
@@ -134,24 +130,14 @@ def _coil(first: Points, last: Points, width: float) -> list[Points]:
     return [first + i / 20 * along + (width / 2 if i % 2 else -width / 2) * (1 <= i <= 19) * across for i in range(21)]
 
 
-def outer_points(linkage: Linkage, limb: float, angles: Sequence[float]) -> Points:
+def outer_points(linkage: Linkage | SlideLinkage, angles: Sequence[float]) -> Points:
     """Points that a picture has to contain at these angles [rad]."""
-    points = [np.zeros(2)]
+    points = [np.zeros((1, 2))]
     for angle in angles:
-        points += [point for strand in linkage.strands(angle) for point in (strand.start, strand.end, *strand.wrap)]
-        points += [linkage.limb(angle, limb)]
-    return np.array(points)
-
-
-def limb_and_masses(plant: JointPlant | None, linkage: Linkage) -> tuple[float, list[float]]:
-    """Length [m] of the moving limb, and the distances [m] of the load's point masses, if any."""
-    load = None if plant is None else plant.load
-    masses = []
-    if isinstance(load, KneeLoad):
-        masses = [float(load.distance1), float(load.distance2)]
-    elif isinstance(load, PendulumLoad):
-        masses = [float(load.length)]
-    return max([_LIMB * linkage.height, *(1.1 * at for at in masses)]), masses
+        strands = [strand for strand in linkage.strands(angle) if strand is not None]
+        points += [np.array([strand.start, strand.end, *strand.wrap]) for strand in strands]
+        points += linkage.bodies(angle).thick
+    return np.concatenate(points)
 
 
 @styled
@@ -162,7 +148,7 @@ def draw_joint(
     *,
     labels: bool = True,
 ) -> Figure:
-    """Drawing of a joint at an angle [rad], with its dimensions and moment arms.
+    """Drawing of a joint at an angle [rad], with its dimensions and moment arms; of a slide, at a position [m].
 
     Muscles have the lengths of the geometry, or of the joint at gauge pressures [Pa] (default: 0), and a diameter given
     by the volume of their specimens. A path that is not a straight line is drawn on a pulley
@@ -190,8 +176,7 @@ def draw_joint(
     muscles = body if isinstance(body, AntagonisticJoint) else None
     geometry: Any = body if muscles is None else muscles.geometry
     check_kind("draw_joint", "joint", geometry, Geometry)
-    linkage = Linkage(geometry, (angle,))
-    limb, masses = limb_and_masses(plant, linkage)
+    linkage = linkage_of(geometry, (angle,), None if plant is None else plant.load)
     lengths: Sequence[SupportsFloat] = geometry.path_lengths(angle)
     diameters: Sequence[SupportsFloat | None] = (None, None)
     if muscles is not None:
@@ -201,17 +186,19 @@ def draw_joint(
     colours = [_UNKNOWN] * 2 if scale is None else list(scale.to_rgba(np.asarray(pressures, float) / bar))
 
     springs = muscles.springs if muscles else (False, False)
-    box = outer_points(linkage, limb, (angle,))
+    box = outer_points(linkage, (angle,))
     figure = blank(4.2, 5.0) if labels else blank(2.4, 4.0)
     axes = figure.subplots()
-    strands = JointPicture(axes, linkage, limb, masses, springs).update(angle, *sizes, colours)
+    JointPicture(axes, linkage, springs).update(angle, *sizes, colours)
     (left, bottom), (right, top) = box.min(axis=0), box.max(axis=0)
     margin = 0.04 * max(right - left, top - bottom)
     axes.set(xlim=(left - margin, right + margin), ylim=(bottom - margin, top + margin))
     if scale is not None:
         figure.colorbar(scale, ax=axes, label="pressure [bar]", location="bottom", fraction=0.04, pad=0.02)
-    if labels:
-        _label(axes, linkage, strands, sizes[0], angle)
+    if labels and isinstance(linkage, SlideLinkage):
+        _label_slide(axes, linkage, angle)
+    elif labels and isinstance(linkage, Linkage):
+        _label(axes, linkage, sizes[0], angle)
     return figure
 
 
@@ -233,9 +220,24 @@ def _note(
     axes.text(x, y, text, ha=ha, va=va, parse_math=True, zorder=8, bbox=halo, **_NOTE, **look)
 
 
-def _label(axes: Axes, linkage: Linkage, strands: Sequence[Strand], lengths: Sequence[float], angle: float) -> None:
+def _label_slide(axes: Axes, linkage: SlideLinkage, position: float) -> None:
+    """Names of the muscles, and the direction of growing positions."""
+    across = np.array([-linkage.along[1], linkage.along[0]])
+    gap, turned = 0.12 * linkage.height, math.degrees(math.atan2(linkage.along[1], linkage.along[0]))
+    for number, strand in enumerate(linkage.strands(position), 1):
+        if strand is not None:
+            _note(axes, (strand.start + strand.end) / 2, f"muscle {number}", across, gap, rotation=turned)
+    tip = linkage.tip(position) - gap * across
+    arrow = {"arrowstyle": "-|>", "linewidth": 0.8, "color": BLACK, "mutation_scale": 8}
+    end = tip + 0.1 * linkage.height * linkage.along
+    axes.annotate("", tuple(end), tuple(tip), arrowprops=arrow, zorder=7)
+    axes.set_title(f"{minus(position / mm, '.3g')} mm", loc="center", color=GREY)
+
+
+def _label(axes: Axes, linkage: Linkage, lengths: Sequence[float], angle: float) -> None:
     """Names of the muscles, moment arms and angle, and the lengths of a `KneeGeometry`."""
     geometry, up, height = linkage.geometry, linkage.up, linkage.height
+    strands = linkage.strands(angle)
     right = np.array([up[1], -up[0]])
     gap, rotation = 0.045 * height, 90.0 if abs(up[1]) > 0.5 else 0.0
     second = 1.0 if (strands[1].start - strands[0].start) @ right >= 0 else -1.0

@@ -244,16 +244,17 @@ def robot_tracking(run: SimulationResult) -> Figure:
     for j, (title, (values, reference)) in enumerate(zip(titles, columns, strict=True)):
         for i, name in enumerate(run.joints):
             axes = figure.add_subplot(grid[i, j])
-            axes.plot(time, values[i], color=MEASURED)
+            axes.plot(time, values[i], color=MEASURED, label="run")
             if reference is not None:
-                axes.plot(time, reference[i], **DESIRED)
+                axes.plot(time, reference[i], **DESIRED, label="desired")
             axes.margins(x=0)
-            axes.tick_params(labelbottom=False)
-            if i == 0:
-                axes.set_title(title)
+            axes.tick_params(labelbottom=i == count - 1)
+            letter(axes, len(titles) * i + j, "" if i else title)
             if j == 0:
                 axes.set_ylabel(name)
+    legend_above(figure, figure.axes[0])
     axes = figure.add_subplot(grid[count, :])
+    letter(axes, len(titles) * count, "pressures")
     for muscle, (name, look) in enumerate(looks_of(list(run.muscles)).items()):
         axes.plot(time, run["pressure"][muscle] / bar, label=name, **look)
     axes.margins(x=0)

@@ -215,6 +215,7 @@ def error_curves(columns: Mapping[str, Mapping[str, SimulationResult]]) -> Figur
             axes.set(xlabel=TIME if row == 2 else "")
         letter(grid[0, i], i, f"angle, {title}")
         letter(grid[1, i], count + i, f"stiffness, {title}")
+        letter(grid[2, i], 2 * count + i, f"settling, {title}")
         _settling(grid[2, i], runs, times)
     _share_limits(grid[0], angle, times, "deg", part=0.998, margin=0.12)
     _share_limits(grid[1], stiffness, times, "N·m/rad", part=0.975, margin=0.7)

@@ -15,6 +15,7 @@ from mckibben.units import (
     Duration,
     Force,
     Hz,
+    JointQuantity,
     N,
     PositivePressure,
     PressureRate,
@@ -31,7 +32,7 @@ from mckibben.units import (
     s,
 )
 
-AngularRate = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e4, open_lower=True)]
+AngularRate = Annotated[float, JointQuantity("rad/s", "deg/s", 0, 1e4, open_lower=True)]
 
 MonitorTime = Annotated[float, Quantity("s", "ms", 0, 5e3, open_lower=True)]  # more is one in ms
 
@@ -89,7 +90,7 @@ class JointLimits(Checked):
     Parameters
     ----------
     lowest_angle, highest_angle
-        Range of the angle [rad].
+        Range of the angle [rad], of a slide of its position [m], in files in mm.
     pressure
         Highest pressure [Pa] of either muscle.
     angle_rate, pressure_rate

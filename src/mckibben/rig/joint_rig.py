@@ -14,7 +14,7 @@ from mckibben.component.base import Checked
 from mckibben.component.classes import Keyed
 from mckibben.component.schema import ComponentField, section_of
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, DocumentModel
+from mckibben.config.model import ConfigModel, JointDocument
 from mckibben.plant import Plant
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
@@ -187,7 +187,7 @@ class ApproachSettings(ConfigModel):
     settling: WaitTime = 2.0
 
 
-class JointRig(DocumentModel):
+class JointRig(JointDocument):
     """Configuration of the rig of a joint or a robot, in SI; `read` reads a file with units.
 
     `limits_of` has limits of single joints and muscles of a robot, by name.

@@ -50,7 +50,7 @@ from mckibben.simulation.problem import in_order, sampled_reference, sampling_ti
 from mckibben.simulation.simulate import Reached
 from mckibben.storage import mcap
 from mckibben.storage.files import file_lock, make_folder
-from mckibben.units import deg, ms
+from mckibben.units import HINGE, JointType, deg, ms
 
 _BEYOND = 10 * deg  # of the angle limits beyond the reference, on a hinge
 _ABOVE = 1.05  # pressure limit over the rated pressure
@@ -86,6 +86,10 @@ class JointRunResult(Result):
         """The verdict on the motion, or the reason of a stop, and the outcome of the venting."""
         text = self.result.verdict() if self.result is not None and self.outcome.completed else self.outcome.kind
         return f"{text}; {self.outcome.venting}{f'; {self.service.verdict()}' if self.service else ''}"
+
+    @property
+    def joint_type(self) -> JointType:
+        return self.result.joint_type if self.result else HINGE
 
     @property
     def ok(self) -> bool:

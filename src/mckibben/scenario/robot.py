@@ -64,7 +64,7 @@ from mckibben.scenario.scenario import (
 )
 from mckibben.simulation.accuracy import ACCURACY
 from mckibben.simulation.feasibility import held_by_pairs
-from mckibben.simulation.problem import sampling_times
+from mckibben.simulation.problem import sampled_reference, sampling_times
 from mckibben.statics.attainable import attainable_statics
 from mckibben.statics.posture import holding_torques, is_affine
 from mckibben.statics.pressures import pressures_for_joint_stiffness
@@ -370,12 +370,12 @@ class RobotScenario(StudiedScenario):
 
     def _first(self) -> tuple[tuple[float, ...], list[float]]:
         """Return angles [rad] and stiffness [N*m/rad] of the joints at the start."""
-        first = {name: reference(0.0) for name, reference in self.references().items()}
+        first = {name: sampled_reference(reference, np.zeros(1)) for name, reference in self.references().items()}
         given = {} if isinstance(self.reference, PointReference) else self.start.angles
-        angles = {name: float(setpoint.angle) for name, setpoint in first.items() if name not in given}
+        angles = {name: float(setpoint.angle[0]) for name, setpoint in first.items() if name not in given}
         free = [joint.name for joint in self.robot.joints if joint.locked is None]
         self.robot.check_angles({name: angle for name, angle in angles.items() if name in free}, "reference")
-        stiffness = [float(first[name].stiffness) for name in self.joint_names]
+        stiffness = [float(first[name].stiffness[0]) for name in self.joint_names]
         return self.robot.posture_angles(angles | given), stiffness
 
     def _start(self) -> RobotStart:

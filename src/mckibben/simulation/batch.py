@@ -59,7 +59,7 @@ from mckibben.simulation.problem import (
 from mckibben.simulation.result import Measured, metric_columns, unknown_column
 from mckibben.simulation.robot_metrics import RobotMetrics, landing_metrics
 from mckibben.simulation.trajectories import LABELS, column_names
-from mckibben.units import HINGE, JOINT_TYPES, JointType
+from mckibben.units import HINGE, JOINT_TYPES, Duration, JointType, ShortTime
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -119,6 +119,12 @@ class RunTable(Result):
         return self.table
 
 
+def rows_of(variable: xr.DataArray) -> dict[str, NDArray[np.floating]]:
+    """Return the values of a metric over the runs, by the name of the joint or muscle, which is empty without one."""
+    names = variable[variable.dims[0]].to_numpy() if variable.ndim > 1 else [""]
+    return dict(zip(map(str, names), np.atleast_2d(variable.to_numpy()), strict=True))
+
+
 _PARTS = {"least": 0, "median": 50, "largest": 100}
 """Percentiles of a batch that its table shows."""
 
@@ -162,19 +168,18 @@ class Batch(RunTable):
 
     def declared(self) -> TableColumns:
         """The metrics of all runs, with their units."""
-        columns = metric_columns(self.kind, self.metrics, self.joint_type)
+        columns = metric_columns(self.kind, self.metrics, "", "joint", "muscle")
         return {name: (replace(mark, dims=("run",)), values) for name, (mark, values) in columns.items()}
 
     @table("metrics")
     def spread(self) -> TableColumns:
-        """Least, median and largest value of each metric; of several joints one row each."""
+        """Least, median and largest value of each metric; of several joints or muscles one row each."""
         rows = []
-        for mark, values in self.declared().values():
-            for joint, row in zip(self.table.get("joint", [""]), np.atleast_2d(values), strict=False):
+        for metric, (mark, _) in self.numbers().items():
+            for name, row in rows_of(self.table[metric]).items():
                 finite = row[np.isfinite(row)]
                 ends = np.percentile(finite, list(_PARTS.values())) if finite.size else np.full(len(_PARTS), np.nan)
-                title = mark.title if np.ndim(values) == 1 else f"{mark.title}, {joint}"
-                rows.append((title, *map(mark.cell, ends), mark.shown_unit))
+                rows.append((f"{mark.title}, {name}" if name else mark.title, *map(mark.cell, ends), mark.shown_unit))
         titles = ("metric", *_PARTS, "unit")
         cells = zip(*rows, strict=True) if rows else [()] * len(titles)
         return {title: (Column(), values) for title, values in zip(titles, cells, strict=True)}
@@ -212,8 +217,8 @@ def simulate_many(
     reference: Reference | Mapping[str, Reference] | None = None,
     *,
     over: Mapping[str, ArrayLike] | None = None,
-    duration: float = 10.0,
-    control_period: float = 1e-3,
+    duration: Duration = 10.0,
+    control_period: ShortTime = 1e-3,
     accuracy: float = ACCURACY,
     substeps: int | None = None,
     initial: PlantState | AtRest | RobotStart | None = None,
@@ -507,7 +512,7 @@ def _table(
     labels = labels_of(asked.kind)
 
     def column(name: str, *axes: str, along: str) -> tuple[Any, ...]:
-        rows = [along] if along and mechanism.joint_names else []
+        rows = [along] if along == "muscle" or (along and mechanism.joint_names) else []
         return (*rows, *axes), columns[name], attributes(name, mechanism.joint_type)
 
     table: dict[str, Any] = {name: column(name, "run", along=labels[name].along) for name in asked.metrics}
@@ -515,9 +520,9 @@ def _table(
     table |= {
         name: column(name, "run", "time", along=LABELS[name].along if name in LABELS else "") for name in asked.keep
     }
-    if mechanism.joint_names:
-        table |= {"joint": list(mechanism.joint_names)}
-        table |= {"muscle": list(mechanism.muscle_names)} if asked.keep else {}
+    used = {axis for axes, *_ in table.values() for axis in (axes if isinstance(axes, tuple) else ())}
+    used |= {"joint"} if mechanism.joint_names else set()
+    table |= {axis: list(mechanism.names_along(axis)) for axis in ("joint", "muscle") if axis in used}
     if asked.keep:
         table |= {"time": ("time", times, {"units": "s", "long_name": "time"})}
     return batch_table(table, code, over, joint_type=mechanism.joint_type.name)

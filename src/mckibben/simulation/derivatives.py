@@ -37,6 +37,7 @@ from mckibben.simulation.problem import (
     starts_of,
 )
 from mckibben.simulation.simulate import episode_substeps
+from mckibben.units import Duration, ShortTime
 
 _Begun = tuple[PlantState, PyTree, PyTree]  # the last of the stiffness; some of their leaves
 
@@ -61,8 +62,8 @@ def differentiate(
     parameters: Sequence[str],
     *,
     metrics: Sequence[str] = ("angle_rmse", "stiffness_rmse"),
-    duration: float = 10.0,
-    control_period: float = 1e-3,
+    duration: Duration = 10.0,
+    control_period: ShortTime = 1e-3,
     accuracy: float = ACCURACY,
     substeps: int | None = None,
     initial: PlantState | AtRest | RobotStart | None = None,

@@ -14,6 +14,7 @@ from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.actuator import Actuator, FlowValve
+from mckibben.component.calls import checked_call
 from mckibben.component.checks import check_positive
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import RangeError
@@ -23,7 +24,7 @@ from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import Plant, PlantState
 from mckibben.simulation.loop import LoopState, control_period, initial_loop
-from mckibben.units import bar
+from mckibben.units import Angle, Frequency, ShortTime, bar
 
 _SAMPLES = 100  # a cycle, a multiple of 4: two of them are the reversals
 _SHUT = 1e-30  # m^3/(s*Pa)
@@ -133,16 +134,17 @@ def closed_valves(plant: Plants, *, polytropic_index: float | None = None) -> Pl
     return dataclasses.replace(plant, valve=closed)
 
 
+@checked_call
 def dynamic_stiffness(
     plant: Plant,
     initial: PlantState,
-    amplitude: ArrayLike,
-    frequency: ArrayLike,
+    amplitude: Angle | ArrayLike,
+    frequency: Frequency | ArrayLike,
     *,
     joint: int = 0,
     controller: DiscreteTimeSystem | None = None,
     setpoint: Setpoint | Sequence[Setpoint] | None = None,
-    control_period: float = 1e-3,
+    control_period: ShortTime = 1e-3,
     substeps: int = 4,
     cycles: int = 4,
 ) -> DynamicStiffness:

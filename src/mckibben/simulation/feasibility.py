@@ -23,11 +23,11 @@ from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
 from mckibben.plant.joint_plant import rated_for
-from mckibben.result import Remark, Result, TableColumns, column
+from mckibben.result import Remark, Result, column
 from mckibben.simulation.problem import sampled
 from mckibben.statics.posture import EXACT, is_affine
 from mckibben.statics.reference import POSTURES, check_postures
-from mckibben.units import HINGE, JointType
+from mckibben.units import HINGE, Duration, JointType, ShortTime
 
 _ROUNDING = 1e-6  # N*m/rad
 _BLOCK = 256  # control periods
@@ -87,9 +87,6 @@ class Feasibility(Result):
             )
         return "; ".join(filter(None, (*sentences, self.cause)))
 
-    def declared(self) -> TableColumns:
-        return {name: (mark.for_joint(self.joint_type), values) for name, (mark, values) in super().declared().items()}
-
     def remarks(self) -> Iterable[Remark]:
         """A severe remark on a reference that is not feasible."""
         if not self.feasible:
@@ -116,8 +113,8 @@ def check_reference(
     plant: JointPlant,
     reference: Reference,
     *,
-    duration: float = 10.0,
-    control_period: float = 1e-3,
+    duration: Duration = 10.0,
+    control_period: ShortTime = 1e-3,
     stiffness_amplitude: float | None = None,
 ) -> Feasibility:
     """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period [s].

@@ -154,15 +154,12 @@ def _sharing(controller: PyTree, mechanism: Mechanism, numbers: Mechanism) -> Py
 
     Programs then compute once what both need, such as the stiffness at the measured angle.
     """
-    parts: dict[type, list[tuple[Component, Component]]] = {}
+    parts = list(zip(mechanism.parts, numbers.parts, strict=True))
     found: dict[int, Component] = {}
 
     def is_part(node: object) -> bool:
-        kind = type(node)
-        if kind not in parts:
-            parts[kind] = list(zip(mechanism.components(kind), numbers.components(kind), strict=True))
-        for part, number in parts[kind]:
-            if _equal(node, part):
+        for part, number in parts:
+            if type(node) is type(part) and _equal(node, part):
                 found[id(node)] = number
                 return True
         return False

@@ -27,7 +27,7 @@ from mckibben.joint.geometry import Pressures
 from mckibben.mechanism.base import angles_of, over_joints
 from mckibben.muscle import Domain
 from mckibben.numerics.compiled import numeric
-from mckibben.result import Column, Remark, Result, Severity, TableColumns
+from mckibben.result import Column, Remark, Result, Severity, TableColumns, table
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import OF_STIFFNESS_SETPOINT, Metrics, first_of_end, last_change, measure
@@ -103,11 +103,10 @@ def unknown_column(name: str, known: Iterable[object]) -> SimulationError:
     return SimulationError(f"the result has no {name!r}", value=name, remedy=remedy)
 
 
-def metric_columns(kind: type, metrics: Mapping[str, Any], joint_type: JointType) -> dict[str, tuple[Column, Any]]:
-    """Columns of metrics with their values [SI], by name; `kind` is the class that declares them."""
-    return {
-        name: (label.for_joint(joint_type), metrics[name]) for name, label in labels_of(kind).items() if name in metrics
-    }
+def metric_columns(kind: type, metrics: Mapping[str, Any], *axes: str) -> dict[str, tuple[Column, Any]]:
+    """Columns of metrics along some axes [SI], by name; `kind` is the class that declares them."""
+    labels = {name: label for name, label in labels_of(kind).items() if name in metrics and label.along in axes}
+    return {name: (label, metrics[name]) for name, label in labels.items()}
 
 
 class SimulationResult(Result):
@@ -214,7 +213,7 @@ class SimulationResult(Result):
 
     def declared(self) -> TableColumns:
         """The metrics, with their units, and the joints that they are of; five that are known and not 0 come first."""
-        columns = metric_columns(self.kind, self.metrics, self.joint_type)
+        columns = metric_columns(self.kind, self.metrics, "joint", "")
         if self.landing:
             return columns
         joints: TableColumns = {"joint": (Column(), list(self.joints))} if self.joints else {}
@@ -223,6 +222,14 @@ class SimulationResult(Result):
         columns = joints | columns
         alone = np.isnan(self["desired_stiffness"]).all()
         return {name: column for name, column in columns.items() if not alone or name not in OF_STIFFNESS_SETPOINT}
+
+    @table("by muscle")
+    def muscle_metrics(self) -> TableColumns:
+        """The metrics that each muscle has."""
+        columns = metric_columns(self.kind, self.metrics, "muscle")
+        count = len(next(iter(columns.values()), (None, ()))[1])
+        names = self.muscles or tuple(str(number + 1) for number in range(count))
+        return {"muscle": (Column(), list(names))} | columns if columns else {}
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name == "time":

@@ -53,7 +53,7 @@ from mckibben.simulation.problem import (
 from mckibben.simulation.result import SimulationResult, columns_of_run
 from mckibben.simulation.robot_metrics import measure_landing
 from mckibben.simulation.trajectories import Record
-from mckibben.units import deg
+from mckibben.units import Duration, ShortTime, deg
 
 _BYTES = 456  # of a control period, as measured with all columns
 
@@ -64,8 +64,8 @@ def simulate(
     controller: DiscreteTimeSystem | None = None,
     reference: Reference | Mapping[str, Reference] | None = None,
     *,
-    duration: float = 10.0,
-    control_period: float = 1e-3,
+    duration: Duration = 10.0,
+    control_period: ShortTime = 1e-3,
     accuracy: float = ACCURACY,
     substeps: int | None = None,
     initial: PlantState | AtRest | RobotStart | None = None,

@@ -24,7 +24,7 @@ from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.plant import Plant, PlantState
 from mckibben.plant.robot_plant import RobotStart
-from mckibben.result import Remark, Result, TableColumns, column
+from mckibben.result import Remark, Result, column
 from mckibben.simulation.loop import LoopState, begun, initial_loop
 from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.problem import (
@@ -39,7 +39,7 @@ from mckibben.simulation.problem import (
     starts_of,
 )
 from mckibben.simulation.simulate import existing_start
-from mckibben.units import HINGE, JointType, deg, ms
+from mckibben.units import HINGE, Duration, JointType, ShortTime, deg, ms
 
 _LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
 _FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
@@ -123,7 +123,7 @@ class Margins(Result):
     time: NDArray[np.float64] = column("s", "time")
     radius: NDArray[np.float64] = column("1", "largest pole", digits=5)
     gain: NDArray[np.float64] = column("1", "gain margin")
-    phase: NDArray[np.float64] = column("rad", "phase margin", "deg")
+    phase: NDArray[np.float64] = column("rad", "phase margin", "deg", phase=True)
     delay: NDArray[np.float64] = column("s", "delay margin", "ms")
     disk: NDArray[np.float64] = column("1", "disk margin")
     peak: NDArray[np.float64] = column("Hz", "at frequency")
@@ -141,11 +141,6 @@ class Margins(Result):
     def stable(self) -> bool:
         """Whether the loop is stable at all points, and the run free of limit cycles."""
         return bool((self.radius < 1).all()) and not self.oscillation
-
-    def declared(self) -> TableColumns:
-        columns = super().declared()
-        mark, amplitude = columns["oscillation"]
-        return columns | {"oscillation": (mark.for_joint(self.joint_type), amplitude)}
 
     def least(self) -> dict[str, float]:
         """Return the least margins by name, with the unit in which results show them."""
@@ -197,8 +192,8 @@ def margins(
     reference: PyTree,
     initial: PlantState | AtRest | RobotStart,
     *,
-    duration: float,
-    control_period: float = 1e-3,
+    duration: Duration,
+    control_period: ShortTime = 1e-3,
     substeps: int = 4,
     points: int = 20,
 ) -> Margins:
@@ -240,8 +235,8 @@ def disk_margins(
     reference: PyTree,
     initial: AtRest | RobotStart | PlantState | None = None,
     *,
-    duration: float,
-    control_period: float = 1e-3,
+    duration: Duration,
+    control_period: ShortTime = 1e-3,
     substeps: int = 4,
     points: int = 4,
 ) -> NDArray[np.float64]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from mckibben.codegen.engine import compiled
 from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import RigidTendon
-from mckibben.mechanism.dynamics import joint_equations
+from mckibben.mechanism.dynamics import equations_at_rest
 from mckibben.mechanism.muscles import check_contractions
 from mckibben.mechanism.point_stiffness import movable
 from mckibben.mechanism.robot import Robot
@@ -325,16 +324,7 @@ def holding_torques(robot: Robot, angles: ArrayLike | Sequence[float], gravity: 
     Angles [rad] have shape (joints,), or (postures, joints), which is that of the torques.
     """
     rows = np.asarray(angles, float)
-    torques, lanes = np.zeros(rows.shape), tuple(np.ascontiguousarray(np.atleast_2d(rows).T))
-    torques[..., movable(robot)] = np.stack(_torques_at_rest((robot, gravity), lanes), axis=-1).reshape(
-        *rows.shape[:-1], -1
-    )
+    torques = np.zeros(rows.shape)
+    bias = equations_at_rest(robot, np.atleast_2d(rows), gravity)[1][:, len(robot.motions) :]
+    torques[..., movable(robot)] = bias.reshape(*rows.shape[:-1], -1)
     return torques
-
-
-@compiled
-def _torques_at_rest(parts: tuple[Robot, ArrayLike], angles: tuple[Array, ...]) -> list[Array]:
-    """Torques [N*m] of gravity on the joints that can move, many along the last axis."""
-    robot, gravity = parts
-    bias = joint_equations(robot, angles, (0.0,) * len(angles), gravity).bias
-    return [torque + jnp.zeros_like(angles[0]) for torque in bias]

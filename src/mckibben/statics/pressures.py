@@ -169,8 +169,8 @@ def held_joint_stiffness(setting: HeldPosture, stiffness: Sequence[float | None]
     check_count("stiffness", len(stiffness), len(joints), "joint, None for any")
     free = [index for index, joint in enumerate(joints) if joint.locked is None]
     rows = [(place, stiffness[index]) for place, index in enumerate(free) if stiffness[index] is not None]
-    for _, number in rows:
-        check_positive("stiffness", "N*m/rad", stiffness=number)
+    for place, number in rows:
+        check_positive(joints[free[place]].name or "joint", "N*m/rad", stiffness=number)
     offset, slopes = setting.stiffness()
     places, desired = [place for place, _ in rows], np.array([number for _, number in rows], float)
     factors = slopes[places, places] / desired[:, None]

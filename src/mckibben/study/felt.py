@@ -23,7 +23,6 @@ from mckibben.plant import Plant
 from mckibben.result import Column, TableColumns
 from mckibben.scenario import StudiedScenario
 from mckibben.simulation import simulate
-from mckibben.units import JointType
 
 Values = NDArray[np.float64]
 
@@ -71,14 +70,14 @@ class Felt(NamedTuple):
         """Amplitude of the angle [rad]."""
         return self.torque / self.magnitude
 
-    def columns(self, joint_type: JointType) -> TableColumns:
+    def columns(self) -> TableColumns:
         """Felt stiffness over the frequency."""
-        stiffness = Column("N*m/rad", digits=3).for_joint(joint_type)
+        stiffness = Column("N*m/rad", digits=3)
         return {
             "frequency": (Column("Hz", digits=2), self.frequency),
             "felt": (stiffness, self.magnitude),
-            "phase": (Column("rad", "", "deg", digits=3), np.angle(self.impedance)),
-            "deflection": (Column("rad", "", "deg", digits=2).for_joint(joint_type), self.deflection),
+            "phase": (Column("rad", "", "deg", digits=3, phase=True), np.angle(self.impedance)),
+            "deflection": (Column("rad", "", "deg", digits=2), self.deflection),
             "isobaric": (stiffness, self.pushed),
         }
 

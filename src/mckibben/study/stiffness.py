@@ -51,6 +51,10 @@ class FeltStiffness(Result):
     felt: dict[str, Felt]
     """By the name of the joint, which is empty in a scenario of one joint."""
 
+    @property
+    def joint_type(self) -> JointType:
+        return self.scenario.joint_type
+
     def verdict(self) -> str:
         """Return the stiffness that is felt at the lowest and the highest frequency, beside the setpoint."""
         texts, show = [], self.scenario.joint_type.show
@@ -82,10 +86,9 @@ class FeltStiffness(Result):
     @table("Stiffness of the joint, and what a push feels")
     def comparison(self) -> TableColumns:
         """The isobaric stiffness and that of small motion beside what is felt."""
-        kind, pushes = self.scenario.joint_type, list(self.felt.values())
-        stiffness = Column("N*m/rad", digits=3).for_joint(kind)
+        pushes, stiffness = list(self.felt.values()), Column("N*m/rad", digits=3)
         columns: TableColumns = {"joint": (Column(), list(self.felt))} if all(self.felt) else {}
-        columns["push"] = Column("N*m", digits=2).for_joint(kind), [push.torque for push in pushes]
+        columns["push"] = Column("N*m", digits=2), [push.torque for push in pushes]
         for name in ("setpoint", "isobaric", "small_motion"):
             columns[name] = stiffness, [getattr(push, name) for push in pushes]
         for place, rate in enumerate(pushes[0].frequency):
@@ -95,11 +98,9 @@ class FeltStiffness(Result):
     @table(detail=True)
     def pushes(self) -> list[Listing]:
         """The pushes of each joint."""
-        kind = self.scenario.joint_type
+        show = self.joint_type.show
         return [
-            Listing(
-                f"Push of {kind.show(push.torque, 'N*m')}{' on ' * bool(name)}{name}", push.columns(kind), detail=True
-            )
+            Listing(f"Push of {show(push.torque, 'N*m')}{' on ' * bool(name)}{name}", push.columns(), detail=True)
             for name, push in self.felt.items()
         ]
 
@@ -133,19 +134,18 @@ class MotionTests(NamedTuple):
         held = f"held at {round(self.angle / kind.size('deg'), 3) + 0.0:g} {kind.shown('deg')} by {pressures} bar"
         return f"{held}: {kind.span((self.secant.min(), self.secant.max()), 'N*m/rad')} at constant pressures"
 
-    def listings(self, name: str, kind: JointType, closed_depends_on_rate: bool) -> Iterator[Listing]:
+    def listings(self, name: str, closed_depends_on_rate: bool) -> Iterator[Listing]:
         """Yield the closed forms over the amplitude, and each simulated test over the rates; a name is of the joint."""
         of = f"{name}: " * bool(name)
-        amplitude = Column("rad", "amplitude", "deg", digits=3).for_joint(kind), self.amplitude
-        shown = _STIFFNESS.for_joint(kind)
-        over = {"amplitude": amplitude, SHOWN[HELD]: (shown, self.secant)}
-        yield Listing(f"{of}Closed forms, with friction", over | {SHOWN[CLOSED]: (shown, self.closed_secant)})
+        amplitude = Column("rad", "amplitude", "deg", digits=3), self.amplitude
+        over = {"amplitude": amplitude, SHOWN[HELD]: (_STIFFNESS, self.secant)}
+        yield Listing(f"{of}Closed forms, with friction", over | {SHOWN[CLOSED]: (_STIFFNESS, self.closed_secant)})
         for test, found in self.tests.items():
             stiffness = found.magnitude if test == CONTROLLED else found.stiffness
             columns: TableColumns = {"amplitude": amplitude}
             for rate, values, loss in zip(found.frequency, stiffness, found.loss, strict=True):
-                columns[f"{rate:.3g} Hz"] = shown, values
-                columns[f"loss at {rate:.3g} Hz"] = shown, loss
+                columns[f"{rate:.3g} Hz"] = _STIFFNESS, values
+                columns[f"loss at {rate:.3g} Hz"] = _STIFFNESS, loss
             detail = not (test == CONTROLLED or (test == CLOSED and closed_depends_on_rate))
             yield Listing(f"{of}Simulated: {SHOWN[test]}", columns, detail=detail)
 
@@ -174,18 +174,13 @@ class StiffnessTests(FeltStiffness):
         columns["isobaric"] = Column("N*m/rad", SHOWN[HELD]), [motion.isobaric for motion in motions]
         columns["closed_valve"] = Column("N*m/rad", SHOWN[CLOSED]), [motion.closed_valve for motion in motions]
         columns["polytropic_index"] = Column("1"), [motion.polytropic_index for motion in motions]
-        kind = self.scenario.joint_type
-        return {name: (mark.for_joint(kind), values) for name, (mark, values) in columns.items()}
+        return columns
 
     @table()
     def simulated(self) -> list[Listing]:
         """The tests of each joint."""
         warm = getattr(self.scenario.valve, "wall_conductance", None) is not None
-        return [
-            listing
-            for name, motion in self.motions.items()
-            for listing in motion.listings(name, self.scenario.joint_type, warm)
-        ]
+        return [listing for name, motion in self.motions.items() for listing in motion.listings(name, warm)]
 
 
 def stiffness_tests(

@@ -33,6 +33,7 @@ def pages() -> None:
     app.on_delete(forget_routes)
     for path, module in zip(PAGES, (start_page, identify, joint, run, tune, rig, robot), strict=True):
         ui.page(path)(module.page)
+    ui.page(run.MOVING)(run.moving)
 
 
 def forget_routes() -> None:

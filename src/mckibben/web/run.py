@@ -13,10 +13,12 @@ from pathlib import Path
 
 import numpy as np
 from nicegui import events, ui
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 
 from mckibben.component.columns import labels_of
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import ParameterError
+from mckibben.export.page import page_files
 from mckibben.report.palette import BLUE, DESIRED, GREEN, MEASURED, MUSCLES, ORANGE, PURPLE, SKY
 from mckibben.scenario import ScenarioParameter, StudiedScenario, list_parameters, with_values
 from mckibben.simulation.result import BAND
@@ -64,6 +66,8 @@ _EXAMPLES = {"": "none", "knee": "the knee of the paper", "leg": "the leg of the
 _TEXTS = {"knee": START, "leg": LEG}
 _METRICS = ("angle_rmse", "stiffness_rmse", "coupling", "air")
 """Metrics of the comparison of kept runs."""
+MOVING = "/moving"
+"""Address of the page to move."""
 
 
 def page() -> None:
@@ -72,6 +76,14 @@ def page() -> None:
     state = visitor.state(Workbench)
     with frame("/run", state, "ran", state=state):
         _Page(state, visitor.folder)
+
+
+def moving() -> Response:
+    """The last page to move, of `Move it`."""
+    presented = session().state(Workbench).studies.get("page")
+    if presented is None:
+        return PlainTextResponse("The scenario has changed since; ask for the page again.", 404)
+    return HTMLResponse(presented.steps.files["page.html"])
 
 
 _HIDDEN = re.compile(r"\.(model|specimen|law|domain)\.")
@@ -109,6 +121,7 @@ class _Page(JobPage[Workbench]):
                 button("Remove kept runs", self.clear)
                 button("Margins", partial(self.study, "margins"), "margins")
                 button("Limits", partial(self.study, "envelope"), "limits")
+                button("Move it", partial(self.study, "page"), "move")
             self.progress = progress_row(state.jobs)
             self.remarks = ui.column().classes("w-full")
             with panel("Angle", stays=True) as self.first:
@@ -190,7 +203,9 @@ class _Page(JobPage[Workbench]):
                 if state.error is not None:
                     quiet("Fields, curves and numbers are those of the last scenario that ran.")
         for name, presented in state.studies.items():
-            show_result(presented, name)
+            with show_result(presented, name):
+                if name == "page":
+                    ui.link("Open the joint that moves under your finger", MOVING, new_tab=True).mark("moving")
 
     def change(
         self,
@@ -299,17 +314,22 @@ class _Page(JobPage[Workbench]):
         self.numbers.append(element)
 
     def study(self, name: str) -> None:
-        """Compute stability margins, or the attainable set, of the scenario that ran last."""
+        """Compute stability margins, the attainable set, or the page to move, of the scenario that ran last."""
         state, folder = self.state, self.folder
         if (scenario := state.scenario) is None or state.current is None:
             return
-        text = state.current.text
+        files = scenario_files(state.current.text, folder)
 
         def compute(progress: Callable[[str, float], None]) -> Presented:
             progress(name, 0.0)
-            words = (name, "scenario.yaml", "--out", name)
-            again = Repetition.of(words, f"result = {READ}.{name}()", scenario_files(text, folder))
-            return Presented.of(getattr(scenario, name)(), again)
+            if name != "page":
+                words = (name, "scenario.yaml", "--out", name)
+                return Presented.of(getattr(scenario, name)(), Repetition.of(words, f"result = {READ}.{name}()", files))
+            exported = page_files(scenario, name, folder)
+            words = ("export", "scenario.yaml", "--to", "page", "--out", name)
+            python = f'from mckibben.export import export\n\nresult = export({READ}, "page", "page")'
+            contents = {path: str(text).encode() for path, text in exported.contents.items()}
+            return Presented.of(exported, Repetition.of(words, python, files | contents))
 
         def done(presented: Presented, heard: list[str]) -> None:
             state.studies = {name: presented} | {other: old for other, old in state.studies.items() if other != name}

@@ -40,13 +40,13 @@ class Limits(ConfigModel):
     Attributes
     ----------
     lowest_angle, highest_angle
-        Angles [rad]. Default: 10 deg, of a slide 10 mm, beyond the reference, the start, and the angle of the vented
-        joint.
+        Angles [rad], of a slide positions [m], in files in mm. Default: 10 deg, of a slide 10 mm, beyond the reference,
+        the start, and the angle of the vented joint.
     lowest_pressure, highest_pressure
         Measured gauge pressures [Pa]. Default: 5 % of the rated pressure outside the rated ones.
     highest_stiffness
-        Highest setpoint [N*m/rad]. Default: that of the joint at the rated pressures, or of the reference. The lowest
-        of a robot's joint is a thousandth of it.
+        Highest setpoint [N*m/rad]. Default: that of the joint at the rated pressures, of a robot's where each muscle
+        has that or none, or of the reference. The lowest of a robot's joint is a thousandth of it.
     moved
         Change of a command, as a share of its range, beyond which its sensor has to change.
     frozen
@@ -136,17 +136,26 @@ def _joint_bounds(scenario: Scenario, limits: Limits) -> tuple[ControlSample, Co
 
 
 def _stiffest(scenario: RobotScenario, limits: Limits) -> NDArray[np.float64]:
-    """Highest setpoint of the stiffness [N*m/rad] of each joint of a robot: at rated pressures, or of its reference."""
+    """Highest setpoint of the stiffness [N*m/rad] of each joint of a robot: what it attains, or of its reference.
+
+    Each muscle is at its rated pressure, or vented where its pressure softens the joint.
+    """
     joints, references = scenario.robot.joints, scenario.references()
     if limits.highest_stiffness is not None:
         return np.full(len(joints), limits.highest_stiffness)
-    shape = len(joints), _ANGLES * len(joints)
+    rated = np.array([muscle.domain.pressure_max for muscle in scenario.robot.all_muscles], float)
+    alone = np.vstack([np.zeros(len(rated)), np.diag(rated)])  # pressures, of no muscle and of each
+    count = _ANGLES * len(joints)
     lower, upper = (np.array([[getattr(joint, end)] for joint in joints], float) for end in ("lower", "upper"))
-    angles = lower + (upper - lower) * np.random.default_rng(0).uniform(size=shape)
-    rated = tuple(np.full(shape[1], muscle.domain.pressure_max) for muscle in scenario.robot.all_muscles)
+    angles = lower + (upper - lower) * np.random.default_rng(0).uniform(size=(len(joints), count))
+    lanes = tuple(np.repeat(angles, len(alone), axis=1)), tuple(np.tile(alone.T, count))
+    vented, *each = np.moveaxis(
+        np.reshape(_stiffness_of_joints(scenario.robot, lanes), (len(joints), count, -1)), -1, 0
+    )
+    stiffest = vented + sum(np.maximum(own - vented, 0.0) for own in each)
     times = scenario.run_duration, scenario.control_period
     wanted = [np.max(np.asarray(sampled(references[joint.name], *times)[1].stiffness)) for joint in joints]
-    return np.fmax(np.nanmax(_stiffness_of_joints(scenario.robot, (tuple(angles), rated)), axis=1), wanted)
+    return np.fmax(np.nanmax(stiffest, axis=1), wanted)
 
 
 @compiled

@@ -1,22 +1,26 @@
 // Drawing, charts and sliders; `simulated` of a worker or, where there is none, of this page computes the runs.
 (function () {
     "use strict";
-    const $ = id => document.getElementById(id), DEG = Math.PI / 180, D = SETTINGS.drawing;
+    const $ = id => document.getElementById(id), D = SETTINGS.drawing, A = SETTINGS.angle, K = SETTINGS.stiffness;
     const COLOURS = ["#440154", "#46337f", "#365d8d", "#26818e", "#20a386", "#50c46a", "#a8db34"];
     const values = Object.fromEntries(SETTINGS.sliders.map(slider => [slider.name, slider.nominal]));
     let knows = false, mode = "run", shown = null, at = 0, playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+    const shownUnit = unit => unit === "1" ? "" : unit.replace("deg", "°").replaceAll("*", "·");
     const minus = text => text.replace("-", "−"), finite = Number.isFinite;
     const digits = (value, count) => finite(value) ? minus(value === 0 ? "0" : Number(value.toPrecision(count)).toString()) : "–";
 
     // ---- runs
     const later = {busy: false, again: false};
-    const worker = (() => {
+    let worker = (() => {
         try {
             const text = `${$("program").textContent}onmessage = ({data}) => postMessage(shownRun(data.values, data.knows));`;
             return new Worker(URL.createObjectURL(new Blob([text], {type: "text/javascript"})));
         } catch { return null; }
     })();
-    if (worker) worker.onmessage = ({data}) => { later.busy = false; show(data); if (later.again) compute(); };
+    if (worker) {
+        worker.onmessage = ({data}) => { later.busy = false; show(data); if (later.again) compute(); };
+        worker.onerror = () => { worker = null; later.busy = false; compute(); };
+    }
     function compute() {
         if (mode === "live") return begin();
         if (later.busy) { later.again = true; return; }
@@ -86,7 +90,7 @@
             if (limited || slack) text.className = "warning";
         } else if (!shown.exists) {
             const {low, high} = shown.band;
-            words += low[0] <= high[0] ? `; attainable there: ${digits(low[0], 3)} to ${digits(high[0], 3)} N·m/rad` : "; no stiffness is attainable there";
+            words += low[0] <= high[0] ? `; attainable there: ${digits(low[0] / K.scale, 3)} to ${digits(high[0] / K.scale, 3)} ${shownUnit(K.unit)}` : "; no stiffness is attainable there";
         } else {
             const wanted = shown.columns.desired_stiffness;
             let outside = 0;
@@ -98,8 +102,8 @@
         }
         text.textContent = words[0].toUpperCase() + words.slice(1);
         const facts = mode === "live" ? {} : {
-            "angle, RMS error": `${digits(m.angle_rmse / DEG, 2)}°`,
-            "stiffness, RMS error": `${digits(m.stiffness_rmse, 2)} N·m/rad`,
+            [`${A.name}, RMS error`]: `${digits(m.angle_rmse / A.scale, 2)} ${shownUnit(A.unit)}`,
+            ...(K.isAsked ? {"stiffness, RMS error": `${digits(m.stiffness_rmse / K.scale, 2)} ${shownUnit(K.unit)}`} : {}),
             "command travel": `${digits(m.command_travel / 1e5, 2)} bar/s`,
             "air": `${digits(m.air * 1e3, 2)} L`,
         };
@@ -112,7 +116,7 @@
         }));
     }
 
-    // ---- joint: points of the mechanism, turned so that the fixed limb is above the hinge
+    // ---- joint: points of the mechanism
     const NS = "http://www.w3.org/2000/svg", svg = $("joint");
     const el = (name, attributes, parent = svg) => {
         const made = document.createElementNS(NS, name);
@@ -120,10 +124,8 @@
         parent.append(made);
         return made;
     };
-    const H = D.height, [ux, uy] = D.up, WIDE = 1.4;
-    const screen = ([x, y]) => [x * uy - y * ux, -(x * ux + y * uy)];  // the fixed limb points to the top
-    const limb = (angle, distance) => screen([-distance * (Math.cos(angle) * ux - Math.sin(angle) * uy), -distance * (Math.sin(angle) * ux + Math.cos(angle) * uy)]);
-    const xy = point => point.map(number => (number * 1000 / H).toFixed(1)).join(" ");
+    const WIDE = 1.4, BESIDE = 60;
+    const xy = point => point.map(number => number.toFixed(1)).join(" ");
     const path = points => points.length ? "M" + points.map(xy).join("L") : "";
     function between(table, x) {
         const n = table.length - 1, i = Math.min(Math.max(table.findIndex(edge => edge >= x) - 1, 0), n - 1);
@@ -146,76 +148,92 @@
         const rgb = k => [1, 3, 5].map(j => parseInt(COLOURS[k].slice(j, j + 2), 16));
         return `rgb(${mix(rgb(i), rgb(i + 1), f).map(Math.round)})`;
     }
-    const LIMB = 0.62 * H, TOP = Math.max(...D.muscles.map(muscle => muscle.highest));
-    svg.setAttribute("viewBox", "-620 -1090 1240 1810");
+    const TOP = Math.max(...D.muscles.map(muscle => muscle.highest));
+    const points = [D.thick, D.thin, D.strands.map(pair => pair.filter(Boolean).map(strand => [strand.start, strand.end])), [[D.tips]]].flat(3);
+    const [top, bottom] = [Math.min, Math.max].map(end => end(...points.map(point => point[1])));
+    const spare = bottom - top, [left, right] = [Math.min, Math.max].map((end, i) => end(...points.map(point => point[0]), (i - 0.5) * 0.6 * spare));
+    const scaleHigh = Math.min(420, Math.max(bottom - top, 240)), middle = (top + bottom) / 2;
+    const U = Math.max(1, Math.max(right - left + 300, bottom - top + 220) / 1800), TEXT = 54 * U;  // of text
+    svg.setAttribute("viewBox", [left - 80, Math.min(top, middle - scaleHigh / 2) - 130 * U, right - left + 80 + 220 * U, Math.max(bottom - top, scaleHigh) + 220 * U].join(" "));
     const scale = el("linearGradient", {id: "scale", x1: 0, x2: 0, y1: 1, y2: 0}, el("defs", {}));
     COLOURS.forEach((c, i) => el("stop", {offset: i / 6, "stop-color": c}, scale));
     const line = (width, colour) => el("path", {"stroke-width": width, stroke: `var(--${colour})`, fill: "none", "stroke-linecap": "round", "stroke-linejoin": "round"});
-    line(52, "bone").setAttribute("d", path([[0, 0], screen([H * ux, H * uy])]));
-    const beam = line(34, "bone"), cams = [0, 1].map(() => el("path", {fill: "var(--plate)"}));
+    const cams = D.cams[0].map(() => el("path", {fill: "var(--plate)"})), thin = line(34, "bone");
     const goal = el("path", {stroke: "var(--accent)", "stroke-width": 8, "stroke-dasharray": "22 18", fill: "none"});
-    const bone = line(52, "bone"), levers = line(34, "bone"), cables = [0, 1].map(() => line(10, "cable"));
-    const bodies = [0, 1].map(() => el("path", {stroke: "var(--text)", "stroke-width": 3.5}));
-    el("circle", {r: 24, fill: "var(--panel)", stroke: "var(--text)", "stroke-width": 6});
-    const notes = [0, 1].map(i => el("text", {"font-size": 46, fill: `var(--muscle${i + 1})`, "text-anchor": i ? "start" : "end", "font-weight": 600}));
-    const note = el("text", {"font-size": 46, fill: "var(--text)", "text-anchor": "end", x: -160, y: 70, "font-weight": 600});
-    el("rect", {x: 560, y: 120, width: 34, height: 420, rx: 10, fill: "url(#scale)"});
-    [TOP, TOP / 2, 0].forEach((p, i) => { el("text", {x: 545, y: 134 + 205 * i, "font-size": 38, fill: "var(--quiet)", "text-anchor": "end"}).textContent = `${p / 1e5}${i ? "" : " bar"}`; });
+    const thick = line(52, "bone"), cables = D.muscles.map(() => line(10, "cable"));
+    const bodies = D.muscles.map(() => el("path", {stroke: "var(--text)", "stroke-width": 3.5}));
+    const masses = D.masses[0].map(() => el("circle", {r: 32, fill: "var(--weight)"}));
+    for (const [cx, cy] of D.pivots) el("circle", {cx, cy, r: 24, fill: "var(--panel)", stroke: "var(--text)", "stroke-width": 6});
+    const notes = D.muscles.map((_, i) => el("text", {"font-size": TEXT, fill: `var(--muscle${i + 1})`, "font-weight": 600}));
+    const note = el("text", {"font-size": TEXT, fill: "var(--text)", x: left - 60, y: Math.min(top, middle - scaleHigh / 2) - 70 * U, "font-weight": 600});
+    const low = middle + scaleHigh / 2, end = right + 170 * U;
+    el("rect", {x: end, y: low - scaleHigh, width: 34, height: scaleHigh, rx: 10, fill: "url(#scale)"});
+    [TOP, TOP / 2, 0].forEach((p, i) => { el("text", {x: end - 15, y: low - scaleHigh * (1 - i / 2) + 14, "font-size": 38 * U, fill: "var(--quiet)", "text-anchor": "end"}).textContent = `${p / 1e5}${i ? "" : " bar"}`; });
     const range = [D.angles[0], D.angles[D.angles.length - 1]];
     const handle = el("circle", {r: 46, fill: "var(--accent)", "fill-opacity": 0.22, stroke: "var(--accent)", "stroke-width": 8, tabindex: 0, role: "slider",
-        "aria-label": "desired angle in degrees", "aria-valuemin": (range[0] / DEG).toFixed(0), "aria-valuemax": (range[1] / DEG).toFixed(0), style: "cursor:grab;touch-action:none"});
+        "aria-label": `desired ${A.name} in ${A.unit}`, "aria-valuemin": (range[0] / A.scale).toFixed(0), "aria-valuemax": (range[1] / A.scale).toFixed(0), style: "cursor:grab;touch-action:none"});
+    const at_ = (table, angle) => { const [k, f] = between(D.angles, angle); return mix(table[k], table[k + 1], f); };
+    function muscleDrawn(s, strand, c, i) {
+        const muscle = D.muscles[s], contraction = c[`contraction${s + 1}`][i] || 0, pressure = c[`pressure${s + 1}`][i];
+        const dx = strand.end[0] - strand.start[0], dy = strand.end[1] - strand.start[1], whole = Math.hypot(dx, dy);
+        const length = muscle.spring ? whole : size(muscle, contraction, "lengths"), width = WIDE * (muscle.widths ? size(muscle, contraction, "widths") : 0.07 * length);
+        const lead = strand.wrap.length ? 0 : Math.max(whole - length, 0) / 2 / whole, share = Math.min(length / whole, 1);
+        const place = t => [strand.start[0] + dx * t, strand.start[1] + dy * t], first = place(lead), last = place(Math.min(lead + share, 1));
+        cables[s].setAttribute("d", path([strand.start, first]) + path([last, strand.end, ...strand.wrap]));
+        bodies[s].setAttribute("d", muscle.spring ? coil(first, last, width) : outline(first, last, width));
+        bodies[s].setAttribute("fill", muscle.spring ? "none" : finite(pressure) ? colour(pressure / TOP) : "var(--bone)");
+        const [x, y] = place(lead + share / 2), upright = Math.abs(dy) > Math.abs(dx), side = x < 0 ? -1 : 1;
+        notes[s].setAttribute("text-anchor", upright ? (side < 0 ? "end" : "start") : "middle");
+        notes[s].setAttribute("x", upright ? x + side * BESIDE : x);
+        notes[s].setAttribute("y", upright ? y + (s ? 50 : -20) : y - BESIDE);
+        notes[s].textContent = finite(pressure) && !muscle.spring ? `${(pressure / 1e5).toFixed(2)} bar` : "";
+    }
     function pose() {
         const c = shown.columns, i = Math.min(at, c.angle.length - 1), wanted = mode === "live" ? target : c.desired_angle[i];
         const angle = finite(c.angle[i]) ? c.angle[i] : wanted || 0, [k, f] = between(D.angles, angle);
-        const strands = D.strands[k].map((strand, s) => Object.fromEntries(["start", "end", "wrap"].map(key => [key, mix(strand[key], D.strands[k + 1][s][key], f)])));
-        beam.setAttribute("d", path([strands[0].start, [H * ux, H * uy], strands[1].start].map(screen)));
-        bone.setAttribute("d", path([[0, 0], limb(angle, LIMB)]));
-        levers.setAttribute("d", strands.map((strand, s) => D.straight[s] ? path([screen(strand.end), [0, 0]]) : "").join(""));
-        D.cams[k].forEach((cam, s) => cams[s].setAttribute("d", path(mix(cam, D.cams[k + 1][s], f).map(screen)) + "Z"));
-        strands.forEach((strand, s) => {
-            const muscle = D.muscles[s], contraction = c[`contraction${s + 1}`][i] || 0, pressure = c[`pressure${s + 1}`][i];
-            const length = size(muscle, contraction, "lengths"), width = WIDE * (muscle.widths ? size(muscle, contraction, "widths") : 0.07 * length);
-            const dx = strand.end[0] - strand.start[0], dy = strand.end[1] - strand.start[1], whole = Math.hypot(dx, dy);
-            const lead = strand.wrap.length ? 0 : Math.max(whole - length, 0) / 2 / whole, share = Math.min(length / whole, 1);
-            const place = t => screen([strand.start[0] + dx * t, strand.start[1] + dy * t]), first = place(lead), end = place(Math.min(lead + share, 1));
-            cables[s].setAttribute("d", path([screen(strand.start), first]) + path([end, screen(strand.end), ...strand.wrap.map(screen)]));
-            bodies[s].setAttribute("d", muscle.spring ? coil(first, end, width) : outline(first, end, width));
-            bodies[s].setAttribute("fill", muscle.spring ? "none" : finite(pressure) ? colour(pressure / TOP) : "var(--bone)");
-            const [x, y] = place(lead + share / 2).map(number => number * 1000 / H), side = x < 0 ? -1 : 1;
-            notes[s].setAttribute("text-anchor", side < 0 ? "end" : "start");
-            notes[s].setAttribute("x", x + side * 60);
-            notes[s].setAttribute("y", y + (s ? 50 : -20));
-            notes[s].textContent = finite(pressure) && !muscle.spring ? `${(pressure / 1e5).toFixed(2)} bar` : "";
+        thick.setAttribute("d", at_(D.thick, angle).map(path).join(""));
+        thin.setAttribute("d", at_(D.thin, angle).map(path).join(""));
+        at_(D.cams, angle).forEach((cam, s) => cams[s].setAttribute("d", path(cam) + "Z"));
+        at_(D.masses, angle).forEach(([x, y], m) => { masses[m].setAttribute("cx", x); masses[m].setAttribute("cy", y); });
+        D.strands[k].forEach((strand, s) => {
+            if (strand) muscleDrawn(s, Object.fromEntries(["start", "end", "wrap"].map(key => [key, mix(strand[key], D.strands[k + 1][s][key], f)])), c, i);
         });
-        const tip = limb(finite(wanted) ? wanted : angle, LIMB * 1.09);
-        goal.setAttribute("d", finite(wanted) ? path([[0, 0], tip]) : "");
-        const [x, y] = tip.map(number => number * 1000 / H);
+        goal.setAttribute("d", finite(wanted) ? path(at_(D.moving, wanted)) : "");
+        const [x, y] = at_(D.tips, finite(wanted) ? wanted : angle);
         handle.setAttribute("cx", x);
         handle.setAttribute("cy", y);
-        handle.setAttribute("aria-valuenow", ((wanted || 0) / DEG).toFixed(1));
-        note.textContent = minus(`θ ${(angle / DEG).toFixed(2)}°`);
+        handle.setAttribute("aria-valuenow", ((wanted || 0) / A.scale).toFixed(1));
+        note.textContent = minus(`${A.name} ${(angle / A.scale).toFixed(2)} ${shownUnit(A.unit)}`);
     }
     function setTarget(angle) {
         if (mode !== "live") setMode("live");
         target = Math.min(Math.max(angle, range[0]), range[1]);
     }
-    function pointed(event) {
-        const q = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
-        const zero = limb(0, 1), turned = limb(0.1, 1), sense = Math.sign(zero[0] * turned[1] - zero[1] * turned[0]);
-        setTarget(sense * (Math.atan2(q.y, q.x) - Math.atan2(zero[1], zero[0])));
+    function pointed(event) {  // to the angle whose tip is nearest
+        const {x, y} = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
+        let nearest = Infinity, angle = target;
+        for (let k = 0; k + 1 < D.tips.length; k++) {
+            const [x0, y0] = D.tips[k], dx = D.tips[k + 1][0] - x0, dy = D.tips[k + 1][1] - y0;
+            const f = Math.min(Math.max(((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy), 0), 1);
+            const distance = Math.hypot(x - x0 - f * dx, y - y0 - f * dy);
+            if (distance < nearest) [nearest, angle] = [distance, mix(D.angles[k], D.angles[k + 1], f)];
+        }
+        setTarget(angle);
     }
     handle.addEventListener("pointerdown", event => { handle.setPointerCapture(event.pointerId); event.preventDefault(); pointed(event); });
     handle.addEventListener("pointermove", event => { if (handle.hasPointerCapture(event.pointerId)) pointed(event); });
     handle.addEventListener("keydown", event => {
         const change = {ArrowLeft: -0.5, ArrowDown: -0.5, ArrowRight: 0.5, ArrowUp: 0.5}[event.key];
-        if (change) { event.preventDefault(); setTarget((mode === "live" ? target : shown.columns.desired_angle[at] || 0) + change * DEG); }
+        if (change) { event.preventDefault(); setTarget((mode === "live" ? target : shown.columns.desired_angle[at] || 0) + change * A.scale); }
     });
 
     // ---- charts
+    const MUSCLES = [1, 2].filter(n => !D.muscles[n - 1].spring);
     const CHARTS = [
-        {title: "Angle [°]", unit: DEG, least: 1.5, lines: [["angle", "measured", "joint"], ["desired_angle", "text", "desired", true]]},
-        {title: "Stiffness [N·m/rad]", unit: 1, least: 1, band: true, lines: [["stiffness", "measured", "joint"], ["desired_stiffness", "text", "desired", true]]},
-        {title: "Pressure [bar]", unit: 1e5, least: 0.3, lines: [["command1", "quiet", "commands", true], ["command2", "quiet", "", true], ["pressure1", "muscle1", "muscle 1"], ["pressure2", "muscle2", "muscle 2"]]},
+        {title: `${A.name[0].toUpperCase()}${A.name.slice(1)} [${shownUnit(A.unit)}]`, unit: A.scale, least: 1.5, lines: [["angle", "measured", "joint"], ["desired_angle", "text", "desired", true]]},
+        {title: `Stiffness [${shownUnit(K.unit)}]`, unit: K.scale, least: 1, band: K.isAsked, lines: [["stiffness", "measured", "joint"], ...(K.isAsked ? [["desired_stiffness", "text", "desired", true]] : [])]},
+        {title: "Pressure [bar]", unit: 1e5, least: 0.3, lines: [
+            ...MUSCLES.map((n, i) => [`command${n}`, "quiet", i ? "" : "commands", true]), ...MUSCLES.map(n => [`pressure${n}`, `muscle${n}`, `muscle ${n}`])]},
     ];
     for (const chart of CHARTS) {
         const panel = document.createElement("div"), head = document.createElement("h2");
@@ -243,10 +261,10 @@
             let low = Infinity, high = -Infinity;
             const sees = (value, i) => { if (finite(value)) { low = Math.min(low, value / chart.unit); high = Math.max(high, value / chart.unit); } };
             for (const [name] of chart.lines) if (!name.startsWith("command")) shown.columns[name].forEach(sees);
-            if (chart.band && low < high) { const wide = high - low; for (const edge of [shown.band.low, shown.band.high]) edge.forEach(v => { if (finite(v) && v > low - 2 * wide - 2 && v < high + 2 * wide + 2) sees(v); }); }
+            if (chart.band && low < high) { const wide = high - low; for (const edge of [shown.band.low, shown.band.high]) edge.forEach(v => { if (finite(v) && v / chart.unit > low - 2 * wide - 2 && v / chart.unit < high + 2 * wide + 2) sees(v); }); }
             if (mode === "live") {
-                if (chart.unit === DEG) [low, high] = range.map(angle => Math.min(Math.max(angle / DEG, -30), 30));
-                else if (chart.band) [low, high] = [Math.min(...SETTINGS.stiffness), Math.max(...SETTINGS.stiffness)];
+                if (chart === CHARTS[0]) [low, high] = range.map(angle => Math.min(Math.max(angle / A.scale, -30), 30));
+                else if (chart === CHARTS[1]) [low, high] = [K.low / K.scale, K.high / K.scale];
                 else [low, high] = [0, TOP / 1e5];
             }
             if (!(low <= high)) [low, high] = [0, 1];
@@ -297,10 +315,10 @@
             for (let i = 0; i + 1 < lows.length; i++) {
                 if (!(lows[i] <= highs[i] && lows[i + 1] <= highs[i + 1])) continue;
                 g.beginPath();
-                g.moveTo(place(i) - 0.3, Y(highs[i]));
-                g.lineTo(place(i + 1) + 0.3, Y(highs[i + 1]));
-                g.lineTo(place(i + 1) + 0.3, Y(lows[i + 1]));
-                g.lineTo(place(i) - 0.3, Y(lows[i]));
+                g.moveTo(place(i) - 0.3, Y(highs[i] / unit));
+                g.lineTo(place(i + 1) + 0.3, Y(highs[i + 1] / unit));
+                g.lineTo(place(i + 1) + 0.3, Y(lows[i + 1] / unit));
+                g.lineTo(place(i) - 0.3, Y(lows[i] / unit));
                 g.fill();
             }
         }
@@ -340,7 +358,7 @@
     // ---- controls
     function slider(name, {low, high, value, scale, unit}, changed) {
         const made = document.createElement("label"), input = document.createElement("input"), output = document.createElement("output");
-        const write = () => { output.textContent = `${digits(input.value / scale, 3)} ${unit === "1" ? "" : unit.replace("deg", "°").replaceAll("*", "·")}`; };
+        const write = () => { output.textContent = `${digits(input.value / scale, 3)} ${shownUnit(unit)}`; };
         Object.assign(input, {type: "range", min: low, max: high, step: (high - low) / 200, value});
         input.value = value;
         input.addEventListener("input", () => { write(); changed(Number(input.value)); });
@@ -355,8 +373,7 @@
         const made = slider(words(one.name), {...one, value: one.nominal}, value => { values[one.name] = value; compute(); });
         if (one.name.startsWith("reference.")) inRun.push(made);
     }
-    const [least, most] = SETTINGS.stiffness;
-    const wanted = slider("desired stiffness", {low: least, high: most, value: (least + most) / 2, scale: 1, unit: "N*m/rad"}, value => { stiffness = value; });
+    const wanted = slider("desired stiffness", {...K, value: (K.low + K.high) / 2}, value => { stiffness = value; });
     if (SETTINGS.sliders.some(one => one.ofModel.length)) {
         const made = document.createElement("label");
         made.className = "wide";
@@ -371,11 +388,11 @@
         playing = true;
         for (const button of ["run", "live"]) $(button).setAttribute("aria-pressed", button === mode);
         for (const made of inRun) made.hidden = mode === "live";
-        wanted.hidden = mode !== "live";
+        wanted.hidden = mode !== "live" || !K.isAsked;
         $("time").hidden = mode === "live";
         $("time").style.display = mode === "live" ? "none" : "";
         compute();
-        if (mode === "live") { const input = wanted.querySelector("input"); input.value = stiffness; input.dispatchEvent(new Event("input")); }
+        if (mode === "live" && K.isAsked) { const input = wanted.querySelector("input"); input.value = stiffness; input.dispatchEvent(new Event("input")); }
         label();
     }
     const label = () => { $("play").textContent = playing ? "Pause" : "Play"; };
@@ -386,7 +403,7 @@
     $("at").addEventListener("input", () => { playing = false; at = Number($("at").value); label(); draw(); });
     function python() {
         const given = Object.fromEntries(SETTINGS.sliders.map(one => [one.name, values[one.name]]));
-        if (SETTINGS.startsAtReference && shown) Object.assign(given, {"start.angle": shown.start.angle}, finite(shown.start.stiffness) ? {"start.stiffness": shown.start.stiffness} : {});
+        if (SETTINGS.startsAtReference && shown) Object.assign(given, {[`start.${A.name}`]: shown.start.angle}, finite(shown.start.stiffness) ? {"start.stiffness": shown.start.stiffness} : {});
         return `from mckibben.scenario import Scenario, with_values\n\nscenario = Scenario.read("scenario.yaml")  # values in SI\nvalues = ${JSON.stringify(given, null, 4)}\nprint(with_values(scenario, values, model_follows=${knows ? '"all"' : "()"}).simulate())\n`;
     }
     $("copy").addEventListener("click", async () => {

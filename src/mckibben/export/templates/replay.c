@@ -2,7 +2,7 @@
  *     ./replay replay.csv [steps to time]
  * Exit code 1 if the error of a command exceeds the tolerance, and what rounding explains: a controller that is unstable
  * without its plant, which a replay lacks, amplifies it. That is measured with a second controller, whose measurements
- * differ by a thousandth of the tolerance.
+ * differ by a thousandth of the tolerance; where it differs by a thousandth of the largest command, the comparison ends.
  */
 #include "${name}.h"
 
@@ -72,7 +72,7 @@ int main(int count, char **arguments)
     inputs(table[0], 0, &setpoint, &measurement);
     ${name}_init(&controller, (${real})${seconds}, &measurement);
     ${name}_init(&other, (${real})${seconds}, &measurement);
-    for (number = 1; number < ROWS; ++number) {
+    for (number = 1; number < ROWS && rounding <= 1e-3 * largest; ++number) {
         row = table[number];
         inputs(row, TOLERANCE / 1000, &setpoint, &measurement);
         ${name}_step(&other, &setpoint, &measurement, &changed, &telemetry);
@@ -82,13 +82,13 @@ int main(int count, char **arguments)
 <% for part, member in columns if part == "commands" %>
         compare((double)commands.${member}, (double)changed.${member}, row[${first_command + loop.index0}]);
 <% endfor %>
-        wrong = wrong || !(deviation <= fmax(TOLERANCE * largest, fmin(rounding, 1e-3 * largest)));
+        wrong = wrong || !(deviation <= fmax(TOLERANCE * largest, rounding));
     }
-    printf("%d steps: largest deviation of a command %.3g Pa, %.3g of the largest command\n", ROWS - 1, deviation,
-           deviation / largest);
+    printf("%d of %d steps: largest deviation of a command %.3g Pa, %.3g of the largest command\n", number - 1, ROWS - 1,
+           deviation, deviation / largest);
     if (deviation > TOLERANCE * largest)
         printf("a change of the measurements by %.0e of their size changes a command by %.3g Pa: %s\n", TOLERANCE / 1000,
-               rounding, wrong ? "the program is wrong, or the run too long" : "without its plant this controller amplifies rounding");
+               rounding, wrong ? "the program is wrong" : "without its plant this controller amplifies rounding");
     if (held)
         printf("%d samples were not used: the limits in ${name}_defaults do not fit this run\n", held);
     start = clock();

@@ -16,6 +16,7 @@ from mckibben.notebook import Progress
 from mckibben.scenario import ModelFollows, StudiedScenario, batched, followed_names, run_many
 from mckibben.simulation import Batch
 from mckibben.simulation.accuracy import STEP_COLUMNS
+from mckibben.simulation.batch import rows_of
 from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
 from mckibben.simulation.metrics import Metrics, usual_metrics
 from mckibben.simulation.problem import check_frequencies, check_names
@@ -90,18 +91,9 @@ class Sweep(ScenarioStudy):
         padding = -count % self.batch_size
         full = {name: np.concatenate([column, np.repeat(column[-1:], padding)]) for name, column in rows.items()}
         batch = self._simulate(full, chunk=self.batch_size, engine=engine)
-        columns = {name: batch.table[name].to_numpy() for name in (*self.metrics, "outcome", *STEP_COLUMNS)}
-        return select(self._by_joint(columns), slice(count))
-
-    def _by_joint(self, columns: Table) -> Table:
-        """Return columns of the runs, one for each joint of a metric along the joints, such as ``angle_rmse.hip``."""
-        table: dict[str, Any] = {}
-        for name, values in columns.items():
-            if values.ndim == 1:
-                table[name] = values
-            else:
-                table |= {f"{name}.{joint}": row for joint, row in zip(self.scenario.joint_names, values, strict=True)}
-        return table
+        named = {name: rows_of(batch.table[name]) for name in (*self.metrics, "outcome", *STEP_COLUMNS)}
+        columns = {f"{name}.{of}".rstrip("."): row for name, rows in named.items() for of, row in rows.items()}
+        return select(columns, slice(count))  # such as ``angle_rmse.hip``
 
     def block_size(self) -> int:
         """Return the number of runs that are computed and kept together."""

@@ -173,7 +173,7 @@ class TuningProblem:
     @property
     def disk_margin(self) -> float:
         """Disk margin that tuned gains keep; 0 if no gain is tuned."""
-        return self.cost.disk_margin if any(map(is_gain, self.space.names)) else 0.0
+        return self.cost.disk_margin if any(is_gain(swept.parameter) for swept in self.space.swept) else 0.0
 
     @functools.cached_property
     def _draws(self) -> tuple[Table, ...]:
@@ -239,7 +239,7 @@ class TuningProblem:
         """Rows of values, then the rows with gains larger by the gain margin, inside the ranges of their fields."""
         if self.cost.gain_margin == 1.0:
             return values
-        factors = [self.cost.gain_margin if is_gain(name) else 1.0 for name in self.space.names]
+        factors = [self.cost.gain_margin if is_gain(swept.parameter) else 1.0 for swept in self.space.swept]
         limits = np.array([(tuned.parameter.lower, tuned.parameter.upper) for tuned in self.space.swept]).T
         return np.concatenate([values, np.clip(values * factors, *limits)])
 

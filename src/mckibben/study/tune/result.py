@@ -135,7 +135,6 @@ def _metric_rows(scenario: StudiedScenario) -> dict[str, tuple[str, int, float, 
     for name, label in metrics.items():
         label = label.for_joint(scenario.joint_type)
         title = scenario.joint_type.words(name.replace("_", " "))
-        joints = scenario.joint_names if label.along else ()
-        for number, joint in enumerate(joints or ("",)):
-            rows[f"{title}, {joint}" if joint else title] = name, number, label.size, label.shown_unit
+        for number, of in enumerate(scenario.plant().mechanism.names_along(label.along) or ("",)):
+            rows[f"{title}, {of}" if of else title] = name, number, label.size, label.shown_unit
     return rows

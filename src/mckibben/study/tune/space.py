@@ -86,14 +86,16 @@ class SearchSpace:
 _GAINS = ("kp", "ki", "kd", "bandwidth", "stiffness_bandwidth", "slope", "reach")
 
 
-def is_gain(name: str) -> bool:
-    """Whether a scenario parameter is a gain of its controller.
+def is_gain(parameter: ScenarioParameter) -> bool:
+    """Whether a parameter is a gain of the controller: by its name, or a pressure per other quantity than time.
 
-    >>> is_gain("controller.position.kp"), is_gain("controller.position.filter_time"), is_gain("load.mass2")
-    (True, False, False)
+    >>> from mckibben.scenario import Scenario
+    >>> parameters = list_parameters(Scenario.read("examples/pre-contracted-step-pid.yaml"))
+    >>> [parameter.name for parameter in parameters if is_gain(parameter)][:2]
+    ['controller.position.kp', 'controller.position.ki']
     """
-    *above, last = name.split(".")
-    return above[:1] in (["controller"], ["controllers"]) and last in _GAINS
+    per_state = parameter.unit.startswith("Pa") and parameter.unit not in ("Pa", "Pa/s")
+    return parameter.part in ("controller", "controllers") and (parameter.name.split(".")[-1] in _GAINS or per_state)
 
 
 def gain_ranges(scenario: StudiedScenario, decades: float = 1.0) -> dict[str, LogUniform]:
@@ -106,7 +108,7 @@ def gain_ranges(scenario: StudiedScenario, decades: float = 1.0) -> dict[str, Lo
     >>> gain_ranges(scenario)["controller.position.kp"]
     LogUniform(low=20000.0, high=2000000.0, points=None)
     """
-    gains = (swept for swept in list_parameters(scenario) if is_gain(swept.name) and swept.nominal)
+    gains = (swept for swept in list_parameters(scenario) if is_gain(swept) and swept.nominal)
     return {swept.name: _range_around(swept, decades, scenario) for swept in gains}
 
 
@@ -127,7 +129,8 @@ def parse_ranges(texts: Sequence[str], scenario: StudiedScenario) -> tuple[Swept
     """
     if not texts:
         if not (gains := gain_ranges(scenario)):
-            raise ParameterError("all gains are zero", remedy="give parameters with --parameters 'NAME=LOW..HIGH'")
+            remedy = "give parameters with --parameters 'NAME=LOW..HIGH'"
+            raise ParameterError("the controller has no gain that is not zero", remedy=remedy)
         return sweep_parameters(scenario, gains)
 
     def parse(text: str) -> SweptParameter:
