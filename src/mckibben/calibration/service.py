@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from mckibben.calibration.equations import (
@@ -159,7 +160,7 @@ class Follower:
         self.names = problem.model.joint_names, followed_muscles(problem.model)
         self._calibrated = self._forces(posterior.minimum)[0]
         self._samples: tuple[Floats, Floats, Floats] | None = None
-        self._rows: list[tuple[Any, ...]] = []
+        self._rows: list[PyTree] = []
         self._margin = EDGE / RATE + 0.05  # s that the filters need after a block
         self._done = 0.0
 
@@ -232,13 +233,23 @@ class Follower:
 
     def result(self) -> Service:
         """Return all blocks."""
-        names, kind = self.names, self._posterior.problem.model.joint_type
-        if not self._rows:
-            joints, muscles = np.zeros((0, len(names[0]))), np.zeros((0, len(names[1])))
-            return Service(np.zeros(0), *[joints] * 4, muscles, muscles, np.zeros(0, bool), (), names, kind)
-        *columns, followed, reasons = zip(*self._rows, strict=True)
-        numbers = (np.array(column, float) for column in columns)
-        return Service(*numbers, np.array(followed), reasons, names, kind)
+        joints, muscles, rows = len(self.names[0]), len(self.names[1]), self._rows
+        widths = 1, joints, joints, joints, joints, muscles, muscles
+        times, *numbers = (np.reshape([row[i] for row in rows], (-1, width)) for i, width in enumerate(widths))
+        stiffness, deviation, calibrated, unobserved, forces, deviations = numbers
+        return Service(
+            times[:, 0],
+            stiffness,
+            deviation,
+            calibrated,
+            unobserved,
+            forces,
+            deviations,
+            followed=np.array([row[-2] for row in rows], bool),
+            reasons=tuple(row[-1] for row in rows),
+            names=self.names,
+            joint_type=self._posterior.problem.model.joint_type,
+        )
 
 
 def follow(fit: JointCalibration, recording: JointRecording, **settings: float) -> Service:

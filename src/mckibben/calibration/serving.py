@@ -22,10 +22,13 @@ from mckibben.control.base import field_of, with_fields
 from mckibben.errors import IdentificationError, ParameterError
 from mckibben.numerics.compiled import numeric
 from mckibben.rig.compiled import FlatTree
-from mckibben.scenario import Scenario, StudiedScenario
+from mckibben.scenario import Scenario
+from mckibben.scenario.robot import RobotScenario
 from mckibben.units import Duration, Strength
 
 _FIELDS = {"joint": "model"}  # of a controller, of parts of a plant that have another name
+
+AnyScenario = Scenario | RobotScenario
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ class Serving:
         The scenario, whose controller has the calibrated model.
     """
 
-    def __init__(self, scenario: StudiedScenario, settings: InService) -> None:
+    def __init__(self, scenario: AnyScenario, settings: InService) -> None:
         posterior = read_estimate(settings.estimate)
         self._settings, self._problem, self._fixed = settings, posterior.problem, scenario.with_fixed_model()
         self._follower = Follower(posterior, block=settings.block, forgetting=settings.forgetting, limit=settings.limit)
@@ -95,7 +98,7 @@ class Serving:
         """Parts of the model of the last estimate, by fields of a controller."""
         return {_FIELDS.get(name, name): part for name, part in model_at(self._problem, self._follower.z).parts.items()}
 
-    def _with_model(self) -> StudiedScenario:
+    def _with_model(self) -> AnyScenario:
         control = with_fields(self._fixed.control(), self._parts())
         return self._fixed.model_copy(update=self._fixed.controlled_by(control))
 
@@ -132,7 +135,7 @@ def _result() -> Service:
 class ServingElsewhere:
     """`Serving` in another process, so that the control loop never waits for it."""
 
-    def __init__(self, scenario: StudiedScenario, settings: InService) -> None:
+    def __init__(self, scenario: AnyScenario, settings: InService) -> None:
         self.scenario = Serving(scenario, settings).scenario
         context, arguments = get_context("spawn"), (scenario.dumps(), settings)
         self._pool = ProcessPoolExecutor(1, context, _begin, arguments)
@@ -156,6 +159,6 @@ class ServingElsewhere:
             return self._pool.submit(_result).result()
 
 
-def serve(scenario: StudiedScenario, settings: InService, *, elsewhere: bool) -> Serving | ServingElsewhere:
+def serve(scenario: AnyScenario, settings: InService, *, elsewhere: bool) -> Serving | ServingElsewhere:
     """Return the estimate alongside a run of a scenario, for a paced loop in another process."""
     return (ServingElsewhere if elsewhere else Serving)(scenario, settings)

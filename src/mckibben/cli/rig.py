@@ -16,7 +16,7 @@ from typer import Argument
 
 from mckibben.cli.command import command, plain_command, present
 from mckibben.cli.help import Command, Commands
-from mckibben.cli.options import ScenarioFile, echo, job_progress, parse_quantity, required_folder
+from mckibben.cli.options import ScenarioFile, check_unused, echo, job_progress, parse_quantity, required_folder
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
 from mckibben.storage.files import check_free, make_folder
 from mckibben.units import bar, percent
@@ -74,18 +74,19 @@ def control(
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
     if check:
+        check_unused("--check", service=service)
         session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
         _show_status(map(status_line, session.status()))
         return
     out = required_folder(out, "run")
     check_free(make_folder(out), (*JointRunResult.file_names(), "record-0001.mcap"))
-    serving = None
+    serving, firmware = None, read
     if service is not None:
         from mckibben.calibration.serving import InService, serve
 
         serving = serve(read, InService.read(service), elsewhere=not unpaced)
         read = serving.scenario
-    session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
+    session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal, firmware=firmware)
     for warning in session.warnings:
         echo(f"warning: {warning}", err=True)
     with run_line(quiet=json) as progress:

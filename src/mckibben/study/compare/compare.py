@@ -68,6 +68,7 @@ def compare(
     names = list(suite.controllers)
     efforts = [runs_of(suite, name) for name in names]
     result, at_air = (CompareResult(suite, evaluation, {}, {}, {}, {}) for _ in range(2))
+    calibrated = None
     if isinstance(suite, Suite) and suite.calibration is not None:
         calibrated, possible = evaluation.calibrated(partial(progress, "calibration of the models"))
         result = replace(result, calibrated_runs=possible)
@@ -94,7 +95,7 @@ def compare(
             for kind in (result, at_air):
                 if name in kind.tuned:
                     kind.batches[name] = evaluate(evaluation, name, kind.tuned[name])
-            if result.calibrated_runs.size:
+            if calibrated is not None:
                 result.calibrated[name] = evaluate(calibrated, name, result.tuned[name])
             with suppress(McKibbenError):  # its run cannot start or diverges, as the table shows
                 result.margins[name] = suite.tuned_scenario(name, result.tuned[name]).margins()
