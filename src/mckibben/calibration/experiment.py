@@ -228,16 +228,20 @@ class Sweeps:
 def simulated_calibration(scenario: Scenario, sweeps: Sweeps, prior: JointPrior) -> JointCalibration:
     """Simulate an experiment on the plant of a scenario, and identify the model of its controller.
 
+    Parts in which the muscles move too little to tell their forces from friction are left out.
+
     Raises `ParameterError` and `StoppedError` as `Sweeps.parts` and `simulated`, `IdentificationError` as
     `calibrate_joint`.
     """
     results: dict[str, SimulationResult] = {}
+    model = first_model_of(scenario)
     for name, part in sweeps.parts(scenario, results):
-        results[name] = simulated(part)
-    return calibrate_model(first_model_of(scenario), sweeps.recordings(results), prior)
+        if _tells(model, run := simulated(part), lengths=6.0):
+            results[name] = run
+    return calibrate_model(model, sweeps.recordings(results), prior)
 
 
-def _tells(model: HingeModel, run: SimulationResult, *, lengths: float = 9.0) -> bool:
+def _tells(model: Moved, run: SimulationResult, *, lengths: float = 9.0) -> bool:
     """Whether muscles forget their friction in a simulated motion, which has more lengths than a calibration asks."""
     try:
         samples_of(model, recording_of(run), lengths=lengths)

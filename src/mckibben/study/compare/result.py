@@ -125,6 +125,9 @@ class CompareResult(Result):
                 "one controller is compared with itself alone: PID and decoupling need a pair of muscles at each joint"
             )
             yield Remark.warning("controllers", text, remedy="give others in `controllers` of the suite")
+        if count := int((~self.calibrated_runs).sum()):
+            text = f"{count} of {self.calibrated_runs.size} plants could not be calibrated, and are left out there"
+            yield Remark.note("calibration", text, "give another weight or angle")
         if count := int((~self.started).sum()):
             yield Remark.warning("runs", f"{count} runs were infeasible: no static equilibrium at their start")
         if self.at_air and (left_out := [n for n, gains in self.tuned.items() if gains and n not in self.at_air.tuned]):

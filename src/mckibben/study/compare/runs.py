@@ -111,9 +111,9 @@ class Runs:
         return replace(runs, groups=tuple(groups))
 
     def calibrated(self, progress: Callable[[float], None]) -> tuple[Runs, NDArray[np.bool_]]:
-        """The first runs, with models that are calibrated on their plants, and whether the experiment was possible.
+        """Those of the first runs whose plants can be calibrated, with these models, and whether each of the first is.
 
-        Where it was not, the models are those of the suite, with the corrections of the others at 0.
+        Raises `ParameterError` if none can.
         """
         settings, first = self.suite.calibration, next(iter(self.suite.controllers))  # type: ignore[attr-defined]
         count = min(settings.runs, self.count)
