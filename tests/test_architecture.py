@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 3550,
     "statics": 560,
     "storage": 600,
-    "study": 4040,
+    "study": 4050,
     "web": 3090,
 }
 
