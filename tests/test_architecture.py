@@ -91,16 +91,16 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 1060,
+    "top": 1070,
     "actuator": 1060,
-    "calibration": 2000,
+    "calibration": 2240,
     "catalog": 230,
     "cli": 1590,
     "codegen": 2700,
     "component": 1060,
     "config": 580,
     "contract": 660,
-    "control": 2680,
+    "control": 2730,
     "dataset": 4150,
     "experiment_design": 720,
     "export": 2900,
@@ -114,13 +114,13 @@ BUDGET = {
     "plant": 790,
     "reachability": 1150,
     "report": 2070,
-    "rig": 5050,
+    "rig": 5080,
     "scenario": 2350,
     "serial_protocol": 180,
     "simulation": 3560,
     "statics": 560,
     "storage": 600,
-    "study": 3990,
+    "study": 4070,
     "web": 3090,
 }
 

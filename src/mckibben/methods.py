@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mckibben.scenario.robot import RobotScenario
     from mckibben.study.compare import CompareResult, Suite
     from mckibben.study.compare.robots import RobotSuite
+    from mckibben.study.compare.settings import ComparedCalibration
     from mckibben.study.tune import TuneResult
 
 
@@ -119,6 +120,24 @@ def compare(suite: Suite | RobotSuite, out: Path | None) -> CompareResult:
     from mckibben.study.compare import compare
 
     return compare(suite, out=out)
+
+
+@bind
+def calibrated_models(scenario: Scenario, settings: ComparedCalibration) -> PyTree:
+    """Joint and load of a controller's model, calibrated on the plant of a scenario; None if that is not possible."""
+    from mckibben.calibration import JointPrior, Sweeps
+    from mckibben.calibration.experiment import simulated_calibration
+    from mckibben.errors import McKibbenError
+    from mckibben.plant import NoDisturbance
+
+    weight = {"added_mass": settings.weight, "distance": settings.distance}
+    sweeps = Sweeps(-settings.angle, settings.angle, 60.0, **weight)
+    try:
+        calm = scenario.model_copy(update={"disturbance": NoDisturbance()})
+        model = simulated_calibration(calm, sweeps, JointPrior()).model
+    except McKibbenError:
+        return None
+    return {"model": model.joint, "load": model.load}
 
 
 @bind

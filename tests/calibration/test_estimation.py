@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve
 from mckibben.calibration import (
     JointCalibration,
     JointEstimate,
@@ -19,8 +20,12 @@ from mckibben.calibration import (
     read_joint_recording,
 )
 from mckibben.calibration.equations import _errors, linearised, problem_of, samples_of
+from mckibben.calibration.fitting import LocalMinimum
 from mckibben.calibration.models import HingeModel, RobotModel, Weight
 from mckibben.calibration.recordings import check_recording
+from mckibben.calibration.service import Follower, Recursion, follow, write_posterior, write_settings
+from mckibben.calibration.serving import InService, read_estimate, serve
+from mckibben.control import DecouplingControl, PolePlacement, Reference
 from mckibben.dataset import Recipe
 from mckibben.errors import DatasetError, IdentificationError, RangeError, ScenarioError
 from mckibben.joint import ScaledArms
@@ -28,6 +33,8 @@ from mckibben.mechanism import Body, Joint, MusclePair, Place, Robot
 from mckibben.muscle import ForceCorrection, adjusted_law
 from mckibben.numerics.compiled import jit
 from mckibben.rig.channels import Channels
+from mckibben.rig.compiled import ControlProgram
+from mckibben.scenario import Scenario
 from mckibben.units import SLIDE, deg
 from tests.calibration import foreign
 
@@ -449,18 +456,98 @@ def test_stiffness_in_service_is_followed(with_weight, force, most):
     first, second = (one for one, _, _ in parts)
     time = np.concatenate([first.time, first.time[-1] + 4e-3 + second.time])
     columns = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ("angle", "pressures")}
-    found = with_weight.follow(JointRecording(time, **columns))
-    last = time > found.times[-1] - 2.0
+    found = follow(with_weight, JointRecording(time, **columns))
+    last = (time > found.times[-1] - 2.0) & (time <= found.times[-1])
     angle, pressures = columns["angle"][last], columns["pressures"][last]
     true = np.mean(aged.evaluate(angle, tuple(pressures.T))[1])
     assert found.known[-1] and abs(found.stiffness[-1, 0] / true - 1) < most
     assert abs(found.stiffness[-1, 0] - true) < 1.96 * found.deviation[-1, 0]
     assert force == 1.0 or found.calibrated[-1, 0] / true > 1.07
+    assert found.followed[-1] and not found.reasons[-1] and not found.followed[0]  # nothing had moved before
 
 
 @pytest.mark.slow
-def test_a_joint_that_rests_tells_no_stiffness(recorded, with_weight):
-    still = dataclasses.replace(recorded[0][0], angle=0 * recorded[0][0].angle)
+def test_the_model_follows_what_is_known_and_within_its_limit(with_weight):
+    """Samples of half a second at a time, as from a rig; at rest the stiffness is not known, and the model is kept."""
+    rng, aged = np.random.default_rng(9), dataclasses.replace(TRUE, **weaker(0.9))
+    one = recording(aged, TRUE_LOAD, 0.0, rng, seconds=20.0, fast=2.0)[0]
+    followers = [Follower(with_weight.posterior, limit=limit) for limit in (0.25, 0.01)]
+    before = with_weight.posterior.minimum.z
+    for follower in followers:
+        for part in np.array_split(np.arange(one.time.size), 40):
+            follower.add(one.time[part], one.angle[part], one.pressures[part])
+    (followed, limited), blocks = followers, followers[0].result()
+    assert blocks.followed[-1] and np.any(followed.z != before)
+    assert limited.z is before and "1%" in limited.result().reasons[-1]
+    rest = one.time[-1] + np.arange(1, 15001) * 4e-3
+    still = np.full(rest.size, one.angle[-1]), np.tile(one.pressures[-1], (rest.size, 1))
+    z = followed.z
+    followed.add(rest, *still)
+    after = followed.result()
+    assert not after.known[-1] and not after.followed[-1] and after.reasons[-1]
+    assert np.all(np.diff(after.deviation[-5:, 0]) > 0)  # what is known is forgotten
+    assert followed.z is z or not np.array_equal(followed.z, before)
+
+
+@pytest.mark.slow
+def test_the_model_of_a_controller_follows_the_estimate(with_weight, tmp_path):
+    """From the files of a calibration, with samples as of a rig: the numbers of a controller that has the estimate."""
+    scenario = Scenario(
+        name="aged",
+        joint=knee(),
+        load=TRUE_LOAD,
+        controller=DecouplingControl(knee(), LOAD, feedback=PolePlacement(40.0), valve=FirstOrderValve(0.02)),
+        reference=Reference(0.0, 17.0),
+        duration=1.0,
+        control_period=2e-3,
+    )
+    write_posterior(scenario, with_weight.posterior, tmp_path / "estimate.json")
+    write_settings(tmp_path / "service.yaml")
+    settings = InService.read(tmp_path / "service.yaml")
+    np.testing.assert_array_equal(
+        read_estimate(settings.estimate).minimum.covariance, with_weight.posterior.minimum.covariance
+    )
+    joint = dataclasses.replace(TRUE, **weaker(0.9))
+    one = recording(joint, TRUE_LOAD, 0.0, np.random.default_rng(9), seconds=20.0, fast=2.0)[0]
+    samples = np.column_stack([one.time, one.angle, one.pressures])
+    serving = serve(scenario, settings, elsewhere=False)
+    before = ControlProgram(serving.scenario.control().with_period(2e-3)).numbers
+    numbers = serving.add(samples)
+    assert numbers.shape == before.shape and np.any(numbers != before)
+    at = one.angle[-1], tuple(one.pressures[-1])
+    models = serving._parts()["model"], serving.scenario.control().model
+    followed, calibrated = (float(model.evaluate(*at)[1]) for model in models)
+    told = serving.result()
+    assert followed / calibrated == pytest.approx(told.stiffness[-1, 0] / told.calibrated[-1, 0], abs=0.01)
+    assert followed < 0.99 * calibrated
+    assert serving.add(samples[-1:] + np.array([2e-3, 0.0, 0.0, 0.0])) is None  # no further block
+    assert serving.result().followed[-1]
+    assert serve(scenario, dataclasses.replace(settings, follow=False), elsewhere=False).add(samples) is None
+    (tmp_path / "estimate.json").write_text('{"scenario": 1}', encoding="utf-8")
     with pytest.raises(IdentificationError) as caught:
-        with_weight.follow(still)
-    assert caught.value.remedy
+        read_estimate(settings.estimate)
+    assert caught.value.field == "estimate" and caught.value.remedy
+
+
+def test_a_recursion_forgets_measurements_but_not_the_calibration():
+    """Measurements of one parameter, whose value changes from 1 to 3: the old ones fade by the factor of each block."""
+    calibrated = LocalMinimum(np.zeros(2), np.eye(2))
+    recursion = Recursion(calibrated, np.diag([9.0, 0.0]), 1, keep=0.5)
+    assert recursion.update(np.zeros((0, 1)), np.zeros((0, 1, 2)), np.zeros(1)) is recursion.estimate  # no sample yet
+    slopes, rng = np.zeros((200, 1, 2)), np.random.default_rng(0)
+    slopes[..., 0] = 1.0
+
+    def after(value, blocks):
+        for _ in range(blocks):
+            errors = recursion.estimate.z[:1] - value + 0.1 * rng.standard_normal((200, 1))
+            recursion.update(errors, slopes, np.full(1, 1e-3))
+        return recursion.estimate
+
+    first = after(1.0, 8)
+    assert first.z[0] == pytest.approx(1.0, abs=0.1) and first.z[1] == 0.0
+    assert 1.3 < after(3.0, 1).z[0] < 2.7  # it has seen as much of the one as of the other
+    assert after(3.0, 8).z[0] == pytest.approx(3.0, abs=0.1)
+    known = recursion.estimate.deviations
+    for _ in range(40):
+        recursion.update(np.zeros((0, 1)), np.zeros((0, 1, 2)), np.zeros(1))
+    assert known[0] < 0.5 and recursion.estimate.deviations == pytest.approx([np.sqrt(10), 1.0], rel=1e-3)

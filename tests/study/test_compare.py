@@ -1,12 +1,14 @@
 """Controllers are tuned alike and evaluate on the same runs: each of which is, alone, what `simulate` gives."""
 
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
+from mckibben import binding
 from mckibben.errors import FileError, ParameterError
 from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Metrics
@@ -310,3 +312,27 @@ def test_too_much_air_or_stiffness_error_raises_the_error_that_is_searched():
     assert error(2e-4, 0.5, failed=1.0) == 0.01
     assert error(2e-4, 0.5, failed=2.0) == FAILED_COST
     assert error_at_air(Trial((0.5,), FAILED_COST), air=2e-4, stiffness=0.5, failed=1.0) == FAILED_COST
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mass", [1.0, 1.5])
+def test_models_are_those_of_a_calibration_on_each_plant(monkeypatch, mass):
+    """One that finds the model of the file, or another load, but for two plants on which it is not possible."""
+    last = TEXT[TEXT.index("evaluation:") : TEXT.index("duration:")]
+    suite = changed(*ONE_KIND, (last, last + "calibration: {weight: 0.5 kg, runs: 6}\n"))
+    asked, load = [], replace(suite.load, mass2=mass * suite.load.mass2)
+
+    def calibrated(scenario, settings):
+        asked.append(settings.weight)
+        return None if len(asked) in (2, 5) else {"model": suite.joint, "load": load}
+
+    monkeypatch.setitem(binding._BOUND, "calibrated_models", calibrated)
+    runs = draw(suite, 8, 1)
+    kept, possible = runs.calibrated(lambda _: None)
+    assert asked == [0.5] * 6 and possible.tolist() == [True, False, True, True, False, True]
+    before, after = evaluate(runs, "decoupling", {}), evaluate(kept, "decoupling", {})
+    same = np.isclose(after.metrics["angle_rmse"], before.metrics["angle_rmse"][:6][possible], rtol=1e-9)
+    assert same.all() == (mass == 1.0) and same.any() == (mass == 1.0)
+    tables = {"batches": {"decoupling": before}, "calibrated": {"decoupling": after}, "calibrated_runs": possible}
+    columns = CompareResult(suite, runs, {"decoupling": {}}, {}, {}, **tables).after_calibration()
+    assert columns["runs"][1] == [4] and columns["angle_after"][1].size == 1

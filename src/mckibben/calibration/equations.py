@@ -202,12 +202,11 @@ def _presliding(muscle: Muscle, *, relative: float = 2e-3) -> float:
 
 
 def problem_of(
-    model: Moved, recordings: Sequence[Recorded], prior: JointPrior, *, beyond: float = 1.2, band: float = 0.02
+    model: Moved, recordings: Sequence[Recorded], prior: JointPrior, *, beyond: float = 1.2
 ) -> CalibrationProblem:
     """Return the model, with friction added if it has none, and the scales of its corrections.
 
-    Corrections have a half width of `beyond` times that of the measured contractions. Friction, where the model has
-    none, begins at a `band` relative to the highest force.
+    Corrections have a half width of `beyond` times that of the measured contractions.
 
     Raises
     ------
@@ -217,7 +216,6 @@ def problem_of(
     angle, pressures = (
         np.concatenate([getattr(each.samples, name) for each in recordings]) for name in ("angle", "pressures")
     )
-    muscles: list[Muscle] = []
     scales: list[Scales] = []
     for number, (muscle, path) in enumerate(zip(model.muscles, paths_of(model, angle), strict=True)):
         low, high, force, slope = map(float, _sweep((muscle, path.max(), path.min())))
@@ -227,11 +225,7 @@ def problem_of(
         warn_outside((muscle, middle, most))
         creep = prior.creep * abs(slope) / float(muscle.specimen.initial_length)
         scales.append(Scales(force, most, middle, beyond * (high - low) / 2, float(pressures[:, number].mean()), creep))
-        if not (is_spring(muscle) or muscle.has_friction):
-            muscle = dataclasses.replace(muscle, friction=MaxwellSlip(band * force, _presliding(muscle)))
-        muscles.append(muscle)
-    others = _others(model, prior)
-    model = model.changed(muscles, {name: 0.0 if is_difference(name) else 1.0 for name in others})
+    others, model = _others(model, prior), with_friction(model, scales)
     damping = _critical_damping((model, tuple(angle.mean(axis=0)), tuple(pressures.mean(axis=0))))
     for joint, critical in zip(model.joint_names, damping, strict=True):
         others[f"{joint}damping"] *= float(critical)
@@ -239,6 +233,16 @@ def problem_of(
     return CalibrationProblem(
         model, tuple(scales), {name: getattr(prior, name) for name in names}, tuple(others.values())
     )
+
+
+def with_friction(model: Moved, scales: Sequence[Scales], *, band: float = 0.02) -> Moved:
+    """Return a model in whose muscles friction, where they have none, has a `band` relative to their highest force."""
+    muscles: list[Muscle] = []
+    for muscle, of_muscle in zip(model.muscles, scales, strict=True):
+        if not (is_spring(muscle) or muscle.has_friction):
+            muscle = dataclasses.replace(muscle, friction=MaxwellSlip(band * of_muscle.force, _presliding(muscle)))
+        muscles.append(muscle)
+    return model.changed(muscles, {name: 0.0 if is_difference(name) else 1.0 for name in names_of(model)})
 
 
 def is_spring(muscle: Muscle) -> bool:

@@ -6,9 +6,9 @@ import math
 import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import field
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,6 @@ from mckibben.calibration.fitting import (
 )
 from mckibben.calibration.models import HingeModel, Moved, RobotModel
 from mckibben.calibration.recordings import Floats, JointPrior, JointRecording
-from mckibben.calibration.service import Recursion, Service, ageing, blocks_of, followed_muscles
 from mckibben.codegen.engine import compiled
 from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.joint import AntagonisticJoint, Load
@@ -50,7 +49,7 @@ from mckibben.result import Column, Listing, Remark, column, table
 from mckibben.units import JointType
 
 _FILTER = 0.04  # s, standard deviation of the filter of the equations
-_EDGE = int(4 * _FILTER * RATE)  # samples that the filter needs on either side
+EDGE = int(4 * _FILTER * RATE)  # samples that the filter needs on either side
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 _APART = 100  # samples, of the stiffness along recordings
 _UNEXPLAINED = 0.2
@@ -61,6 +60,22 @@ _DETERMINED = 20.0  # parameters, at the first variance
 _LOGARITHMIC = ("friction", "presliding")  # quantities of which the logarithm is estimated
 _UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
 _UNITS |= {"damping": "N*m*s/rad", "inertia": "kg*m^2"}
+
+
+class Posterior(NamedTuple):
+    """Estimates of a model for its use in service.
+
+    Attributes
+    ----------
+    problem, minimum
+        The model before, and its parameters with their covariance.
+    tube
+        Lag [s] of the pressures in the muscles behind the sensors.
+    """
+
+    problem: CalibrationProblem
+    minimum: LocalMinimum
+    tube: float = 0.0
 
 
 class JointCalibration(Calibration):
@@ -78,8 +93,6 @@ class JointCalibration(Calibration):
         The model with the estimates.
     recordings, held_out
         Those that were fitted, and those that were not.
-    service
-        What was followed in service, see `follow`.
     residual
         Root mean square of the error of the equations of motion [N*m], low-pass filtered. Deviations contain it.
     unexplained
@@ -89,7 +102,6 @@ class JointCalibration(Calibration):
     model: Any  # Moved
     recordings: tuple[JointRecording, ...]
     held_out: tuple[JointRecording, ...] = field(default=(), kw_only=True)
-    service: Service | None = field(default=None, kw_only=True)
     _problem: CalibrationProblem
     _posterior: LocalMinimum
     residual: float = column("N*m", "residual torque", digits=2)
@@ -112,11 +124,11 @@ class JointCalibration(Calibration):
 
         Angles are an array, of a robot one for each joint, and the stiffness has a last axis for them.
         """
-        return _stiffness(self._problem, self._posterior, angle, pressures)
+        return stiffness_of(self._problem, self._posterior, angle, pressures)
 
     def prior_stiffness(self, angle: ArrayLike, pressures: Sequence[ArrayLike]) -> tuple[Floats, Floats]:
         """Return `stiffness` before the calibration."""
-        return _stiffness(self._problem, _prior(self._problem), angle, pressures)
+        return stiffness_of(self._problem, _prior(self._problem), angle, pressures)
 
     def stiffness_along(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
         """Return stiffness and deviation along the recordings, before and after."""
@@ -132,7 +144,7 @@ class JointCalibration(Calibration):
 
         The first plant has the estimates, the others are drawn from their distribution, always the same ones.
         """
-        return _models(self._problem, draws(self._posterior, count).T).parts
+        return models_of(self._problem, draws(self._posterior, count).T).parts
 
     def errors(self, recording: JointRecording) -> tuple[float, float]:
         """Return the root mean square errors of the torque [N*m] by the model before and after the calibration."""
@@ -143,36 +155,10 @@ class JointCalibration(Calibration):
         )
         return root_mean_square([before]), root_mean_square([after])
 
-    def follow(
-        self, recording: JointRecording, *, block: float = 2.0, forgetting: float = 30.0, apart: int = 10
-    ) -> Service:
-        """Return the stiffness along a recording in service, while strengths, friction, creep and damping may change.
-
-        They are estimated recursively, by blocks of a duration [s], with measurements forgotten with a time constant
-        [s]; the stiffness is that of samples some `apart`. Raises `IdentificationError` as `calibrate_joint` does, also
-        if the joint rests all the time.
-        """
-        problem, model = self._problem, self._problem.model
-        recorded = samples_of(model, replace(recording, tensions=None))
-        recursion = Recursion(
-            self._posterior, ageing(problem), _least_errors(problem, [recorded]), math.exp(-block / forgetting)
-        )
-        before, joints, rows = recursion.estimate, len(model.joint_names), []
-        for place, part in blocks_of(recorded, block, _EDGE):
-            estimate = recursion.update(*_rows(problem, recursion.estimate.z, [part]))
-            angle, pressures = (np.asarray(recorded.samples[i])[place][::apart].T for i in (0, 3))
-            at = (angle if joints > 1 else angle[0]), tuple(pressures)
-            means = []
-            for value, deviation in (_stiffness(problem, each, *at) for each in (estimate, before)):
-                means.append(value.reshape(-1, joints).mean(axis=0))
-                means.append(np.sqrt(np.mean(deviation.reshape(-1, joints) ** 2, axis=0)))
-            quantities = quantities_of(problem, estimate)
-            forces = [quantities[f"{name}.force"] for name in followed_muscles(model)]
-            pairs = [[force.value for force in forces], [force.deviation for force in forces]]
-            rows.append((float(recording.time[0]) + place.stop / RATE, *means, *pairs))
-        names = model.joint_names, followed_muscles(model)
-        columns = (np.array(column, float) for column in zip(*rows, strict=True))
-        return Service(*columns, names=names, joint_type=model.joint_type)
+    @property
+    def posterior(self) -> Posterior:
+        """The estimates as a start for those in service, see `mckibben.calibration.service`."""
+        return Posterior(self._problem, self._posterior, self.recordings[0].tube)
 
     @cached_property
     def held_out_errors(self) -> tuple[float, float]:
@@ -198,7 +184,7 @@ class JointCalibration(Calibration):
             "model before": (error, before),
             "calibrated": (error, after),
         }
-        return [Listing("root mean square error", columns), *([self.service.listing()] if self.service else [])]
+        return [Listing("root mean square error", columns)]
 
     def verdict(self) -> str:
         """Mean stiffness along the recordings, after and before with 95 % intervals, and the determined quantities."""
@@ -219,9 +205,8 @@ class JointCalibration(Calibration):
         if self.held_out:
             earlier, later = (kind.show(error, "N*m", 2) for error in self.held_out_errors)
             held_out = f"; {kind.words('torques')} held out err by {later}, {earlier} before"
-        service = f"; {self.service.verdict()}" if self.service else ""
         found = f"stiffness {after} {kind.shown('N*m/rad')} (95 %), {before} before{held_out}"
-        return f"{found}; {super().verdict()}{service}"
+        return f"{found}; {super().verdict()}"
 
     @property
     def joint_type(self) -> JointType:
@@ -315,7 +300,7 @@ def calibrate_model(
     posterior, errors = _solve(problem, recorded)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", McKibbenWarning)  # `remarks` has them
-        after = jax.tree.map(np.ndarray.item, _models(problem, posterior.z[:, None]))
+        after = jax.tree.map(np.ndarray.item, models_of(problem, posterior.z[:, None]))
         try:
             recheck(after)
         except RangeError as error:
@@ -336,8 +321,8 @@ def predicted_deviation(
     """
     recorded = [samples_of(model, recording) for recording in recordings]
     problem = problem_of(model, recorded, prior)
-    slopes = _rows(problem, np.zeros(problem.size), recorded)[1]
-    squares = (error / _LEAST * _least_errors(problem, recorded)) ** 2
+    slopes = filtered_rows(problem, np.zeros(problem.size), recorded)[1]
+    squares = (error / _LEAST * least_errors(problem, recorded)) ** 2
     variance = _variance(slopes, squares, squares * len(slopes) / _DETERMINED)
     posterior = _posterior(np.zeros(problem.size), slopes, np.zeros(slopes.shape[:2]), variance)
     fit = JointCalibration({}, model, tuple(recordings), problem, posterior, 0.0, 0.0)
@@ -369,11 +354,12 @@ def quantities_of(problem: CalibrationProblem, posterior: LocalMinimum) -> dict[
 
 
 @compiled
-def _models(problem: CalibrationProblem, z: Array) -> Moved:
+def models_of(problem: CalibrationProblem, z: Array) -> Moved:
+    """The model at parameters, with what cannot be negative at 0 or above."""
     return corrected(problem, z).model.physical
 
 
-def _stiffness(
+def stiffness_of(
     problem: CalibrationProblem, at: LocalMinimum, angle: ArrayLike, pressures: Sequence[ArrayLike]
 ) -> tuple[Floats, Floats]:
     """Stiffness [N*m/rad] at angles and pressures, and its standard deviation; with an axis of several joints."""
@@ -439,7 +425,7 @@ def _directional(
     return jax.jvp(values, (z,), (direction,))
 
 
-def _rows(
+def filtered_rows(
     problem: CalibrationProblem, z: Floats, recorded: Sequence[Recorded], pushing: float = 0.0
 ) -> tuple[Floats, Floats]:
     """Filtered errors, shape (samples, groups), and their Jacobian."""
@@ -459,13 +445,13 @@ def _solve(problem: CalibrationProblem, recorded: Sequence[Recorded]) -> tuple[L
     would determine less, the estimate would move towards the prior, and the error would grow until nothing is
     determined.
     """
-    least = _least_errors(problem, recorded)
-    firm = least**2 * (_rows(problem, np.zeros(problem.size), recorded)[0].shape[0] / _DETERMINED)
+    least = least_errors(problem, recorded)
+    firm = least**2 * (filtered_rows(problem, np.zeros(problem.size), recorded)[0].shape[0] / _DETERMINED)
     free = _minimum(problem, recorded, np.zeros(problem.size), firm, pushing=4)
-    errors, slopes = _rows(problem, free.z, recorded)
+    errors, slopes = filtered_rows(problem, free.z, recorded)
     variance = _variance(slopes, np.maximum(np.mean(errors**2, axis=0), least**2), firm)
     posterior = _minimum(problem, recorded, free.z, variance)
-    return posterior, _rows(problem, posterior.z, recorded)[0][:, : len(problem.model.joint_names)]
+    return posterior, filtered_rows(problem, posterior.z, recorded)[0][:, : len(problem.model.joint_names)]
 
 
 def _minimum(
@@ -486,7 +472,7 @@ def _minimum(
     """
     posterior = LocalMinimum(z, np.eye(z.size))
     for number in range(steps):
-        errors, slopes = _rows(problem, z, recorded, pushing=float(number < pushing))
+        errors, slopes = filtered_rows(problem, z, recorded, pushing=float(number < pushing))
         posterior = _posterior(z, slopes, errors, variance)
         step = posterior.z - z
         length = float(np.linalg.norm(step))
@@ -508,7 +494,7 @@ def _variance(slopes: Floats, squares: Floats, firm: Floats) -> Floats:
     return variance_of_samples(information, len(slopes), squares, firm, np.eye(slopes.shape[2]))
 
 
-def _least_errors(problem: CalibrationProblem, recorded: Sequence[Recorded]) -> Floats:
+def least_errors(problem: CalibrationProblem, recorded: Sequence[Recorded]) -> Floats:
     """Errors [N*m] and [N] below which no model is trusted, relative to torques, and to a tenth of highest forces."""
     torques = np.sqrt(np.mean(swings_of(problem.model, recorded) ** 2, axis=0))
     cells = [scales.force / 10 for scales in problem.scales][: recorded[0].samples.tensions.shape[1]]
@@ -517,7 +503,7 @@ def _least_errors(problem: CalibrationProblem, recorded: Sequence[Recorded]) -> 
 
 def _filtered(column: Floats, recorded: Recorded) -> Floats:
     """Low-pass filtered rows of samples from the first one of interest on, without the edge of the filter."""
-    rows = _filter(len(column), recorded.begin + _EDGE) @ column.reshape(len(column), -1)
+    rows = _filter(len(column), recorded.begin + EDGE) @ column.reshape(len(column), -1)
     return rows.reshape(-1, *column.shape[1:])
 
 

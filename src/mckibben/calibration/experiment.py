@@ -15,20 +15,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from mckibben.calibration.equations import CREEP_TIMES
+from mckibben.calibration.equations import CREEP_TIMES, samples_of
 from mckibben.calibration.estimation import JointCalibration, calibrate_model, predicted_deviation
-from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates, with_fields
+from mckibben.calibration.loop import PLANTS, loop_margins, with_estimates
 from mckibben.calibration.models import HingeModel, Moved, RobotModel
 from mckibben.calibration.recordings import Floats, JointPrior, JointRecording
+from mckibben.calibration.service import write_posterior, write_settings
 from mckibben.codegen.engine import compiled
 from mckibben.codegen.native import over_periods
 from mckibben.component.schema import independent, inherited_fields, replaced, write_text
 from mckibben.config.document import shortened
 from mckibben.config.model import DocumentModel
 from mckibben.control import Multisine, OpenLoopControl, Reference, Sine, Sum
+from mckibben.control.base import field_of, with_fields
 from mckibben.dataset import Recipe
 from mckibben.dataset.reading import read_signals
-from mckibben.errors import ParameterError, StoppedError
+from mckibben.errors import IdentificationError, ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.attainable import stiffness_range
 from mckibben.joint.geometry import Pair
@@ -91,7 +93,8 @@ class Sweeps:
         for name, mass in self.weights.items():
             yield f"{name}_slow", self._slow(scenario, mass)
             model = calibrate_model(first_model_of(scenario), self.recordings(results)).model
-            yield f"{name}_fast", self._fast(scenario, model, mass)
+            if (fast := self._fast(scenario, model, mass)) is not None:
+                yield f"{name}_fast", fast
 
     def prediction(self, scenario: Scenario, prior: JointPrior) -> Listing:
         """Return the deviation of the stiffness that weights are expected to leave, before anything moves.
@@ -108,7 +111,8 @@ class Sweeps:
             results = {}
             for name, heavy in trial.weights.items():
                 results[f"{name}_slow"] = simulated(trial._slow(nominal, heavy))
-                results[f"{name}_fast"] = simulated(trial._fast(nominal, model, heavy))
+                if (fast := trial._fast(nominal, model, heavy)) is not None:
+                    results[f"{name}_fast"] = simulated(fast)
             deviations.append(predicted_deviation(model, trial.recordings(results), prior))
         columns: Any = {"weight": (Column("kg", digits=3), weights)}
         columns["stiffness"] = (Column("1", shown="%", digits=2), deviations)
@@ -152,16 +156,17 @@ class Sweeps:
         changes = {"controller": control, "load": self._weighted(scenario.load, mass), "duration": duration}
         return part_of(scenario, f"calibration with {mass:g} kg, slow", middle, signals=signals, **changes)
 
-    def _fast(self, scenario: Scenario, model: HingeModel, mass: float, *, trials: int = 8) -> Scenario:
+    def _fast(self, scenario: Scenario, model: HingeModel, mass: float, *, trials: int = 8) -> Scenario | None:
         """Multisine whose amplitude moves a model by 10 deg or 10 mm, or by 90 % of the way to the next of the angles.
 
-        Raises `ParameterError` if the model does not come near that in some trials.
+        With slow valves the commands reach their limits before; None if the muscles then move too little to tell their
+        forces from friction. Raises `ParameterError` if the model does not come near that in some trials.
         """
         middle, duration = (self.lowest + self.highest) / 2, self._part_duration(scenario)
         target = min(_WIDEST * scenario.joint_type.scale, 0.9 * (self.highest - self.lowest) / 2)
         load = self._weighted(model.load, mass)
         plant = scenario.model_copy(update={"joint": model.joint, "load": load}).plant()
-        low, high = (float(bound[0]) for bound in _bands((model.joint, [load], middle), np.array([middle]))[0])
+        low, high = (float(bound[0]) for bound in _bands((plant.supplied_joint, [load], middle), np.array([middle]))[0])
         edge, follows = (1 - _BAND) / 2 * (high - low), scenario.follows_stiffness
         held = (low + edge, high - edge) if follows else (None,)
         ends = np.array([plant.equilibrium(middle, stiffness=K).pressures for K in held], float)
@@ -183,9 +188,12 @@ class Sweeps:
                 signals=Reference(middle, (low + high) / 2 if follows else None),
                 duration=duration,
             )
-            moved = np.abs(run_scenario(part.model_copy(update={"joint": model.joint, "load": load}))["angle"] - middle)
+            run = run_scenario(part.model_copy(update={"joint": model.joint, "load": load}))
+            moved = np.abs(run["angle"] - middle)
             if 0.85 * target < moved.max() < target:
                 return part
+            if moved.max() < target and run["saturated"].any():
+                return part if _tells(model, run) else None
             amplitude *= float(
                 np.clip(math.sqrt(0.92 * target / moved.max()), 0.5, 2.0)
             )  # resonance: more than in proportion
@@ -215,6 +223,31 @@ class Sweeps:
             message = "no stiffness is attainable at all of the angles, with and without weight"
             raise ParameterError(message, remedy="give other angles, or a smaller weight")
         return low, high
+
+
+def simulated_calibration(scenario: Scenario, sweeps: Sweeps, prior: JointPrior) -> JointCalibration:
+    """Simulate an experiment on the plant of a scenario, and identify the model of its controller.
+
+    Parts in which the muscles move too little to tell their forces from friction are left out.
+
+    Raises `ParameterError` and `StoppedError` as `Sweeps.parts` and `simulated`, `IdentificationError` as
+    `calibrate_joint`.
+    """
+    results: dict[str, SimulationResult] = {}
+    model = first_model_of(scenario)
+    for name, part in sweeps.parts(scenario, results):
+        if _tells(model, run := simulated(part), lengths=6.0):
+            results[name] = run
+    return calibrate_model(model, sweeps.recordings(results), prior)
+
+
+def _tells(model: Moved, run: SimulationResult, *, lengths: float = 9.0) -> bool:
+    """Whether muscles forget their friction in a simulated motion, which has more lengths than a calibration asks."""
+    try:
+        samples_of(model, recording_of(run), lengths=lengths)
+    except IdentificationError:
+        return False
+    return True
 
 
 @compiled
@@ -375,20 +408,19 @@ def calibrate_scenario(
     prior: JointPrior | None = None,
     *,
     held_out: Sequence[JointRecording] = (),
-    service: JointRecording | None = None,
 ) -> JointCalibration:
     """Identify the controller's model of a joint or a robot from recordings.
 
-    Recordings that are `held_out` are not fitted; where the model before predicts them better, the files keep it. The
-    stiffness is followed along a recording in `service`.
+    Recordings that are `held_out` are not fitted; where the model before predicts them better, the files keep it.
     """
     model = first_model_of(scenario)
     fit = replace(calibrate_model(model, recordings, prior), held_out=tuple(held_out))
-    fit = fit if service is None else replace(fit, service=fit.follow(service))
     keeps = bool(held_out) and not fit.predicts
     after = scenario if keeps else calibrated_scenario(scenario, fit)
     margins = None if keeps else loop_margins(after, **fit.drawn(PLANTS))
     writers: dict[str, Any] = {"scenario.yaml": partial(write_estimates, after.dumps, scenario, "")}
+    if not keeps:
+        writers |= {"estimate.json": partial(write_posterior, scenario, fit.posterior), "service.yaml": write_settings}
     if joint := (model if keeps else calibrated_model(fit)).parts.get("joint"):
         writers["model.yaml"] = partial(write_estimates, partial(write_text, joint), scenario, _HEAD)
     return replace(fit, disk_margins=margins).with_files(writers)

@@ -91,7 +91,7 @@ class Calibration(Result):
     disk_margins: Floats | None = field(default=None, kw_only=True)
     """Least disk margins of the scenario's loop on the calibrated plant, and on plants drawn from the estimates."""
 
-    files = ("model.yaml", "valve.yaml", "scenario.yaml")
+    files = ("model.yaml", "valve.yaml", "scenario.yaml", "estimate.json", "service.yaml")
 
     def deviations(self) -> dict[str, str]:
         """Return the standard deviation of each quantity with its unit; of forces in percent."""

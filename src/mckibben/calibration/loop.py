@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.component.schema import inherited_fields, replaced
-from mckibben.control import Controller
-from mckibben.control.base import DiscreteTimeSystem
+from mckibben.control.base import with_fields
 from mckibben.errors import McKibbenError, McKibbenWarning
 from mckibben.result import Remark
 from mckibben.scenario import StudiedScenario, list_parameters
@@ -29,23 +27,6 @@ _PARAMETERS = {  # of a scenario, for estimates of another name
     "valve1.delay": "command_delay",
     "valve2.delay": "command_delay",
 }
-
-
-def field_of(controller: DiscreteTimeSystem, name: str) -> Any:
-    """Return the field of a controller, or of the one that it wraps; None without."""
-    own = getattr(controller, name, None)
-    return own if own is not None else next((field_of(inner, name) for inner in _inner(controller).values()), None)
-
-
-def with_fields(controller: DiscreteTimeSystem, fields: Mapping[str, Any]) -> Any:
-    """Return a controller with other values of the fields that it, or one that it wraps, has and does not inherit."""
-    stated = {name for name, value in vars(controller).items() if value is not None} - inherited_fields(controller)
-    own = {name: value for name, value in fields.items() if name in stated}
-    return replaced(controller, own | {name: with_fields(inner, fields) for name, inner in _inner(controller).items()})
-
-
-def _inner(controller: DiscreteTimeSystem) -> dict[str, Controller]:
-    return {name: field for name, field in vars(controller).items() if isinstance(field, Controller)}
 
 
 def with_estimates(scenario: Any, deviations: Mapping[str, str], **parts: Any) -> Any:

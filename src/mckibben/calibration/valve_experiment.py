@@ -14,11 +14,12 @@ import numpy as np
 
 from mckibben.actuator import Actuator
 from mckibben.calibration.experiment import load_of, model_of, part_of, recording_of, write_estimates
-from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates
+from mckibben.calibration.loop import PLANTS, loop_margins, with_estimates
 from mckibben.calibration.recordings import Floats, JointPrior, JointRecording
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
 from mckibben.component.schema import write_text
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
+from mckibben.control.base import field_of
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.joint import AntagonisticJoint
 from mckibben.plant import JointPlant

@@ -47,7 +47,6 @@ def calibrate(
     recording: Files = None,
     weighted: Files = None,
     held_out: Files = None,
-    follow: Path | None = None,
     prior: Path | None = None,
     tube: str = "",
     *,
@@ -84,17 +83,13 @@ def calibrate(
     ----------------
     held_out : FILE
         A recording that is not fitted; if the model before predicts it better, the files keep it; repeatable.
-    follow : FILE
-        A recording in service, of a moving joint without the weight, along which strengths and friction may change.
     prior : PRIOR.yaml
         Standard deviations before, such as `mass: 5 %`, in place of --limb.
     tube : TIME
         Lag of the pressure in the muscles behind the sensors, '5 ms'; '0 ms' for sensors at the muscles.
     """
     if valves:
-        check_unused(
-            "--valves", weight=weight, held_out=held_out, follow=follow, weighted=weighted, limb=limb, tube=tube
-        )
+        check_unused("--valves", weight=weight, held_out=held_out, weighted=weighted, limb=limb, tube=tube)
     _check_files(weight, recording, weighted, held_out)
     seconds = parse_quantity("--duration", duration or ("120 s" if valves else "60 s"), "s")
     out = required_folder(out, "calibration")
@@ -129,8 +124,7 @@ def calibrate(
         _foretell(sweeps, read, deviations)
         recordings = _measured(read, sweeps, out, rig, quiet=json)
     unused = [measure(path, **lag) for path in held_out or ()]
-    service = measure(follow, **lag) if follow else None
-    return calibration.calibrate_scenario(read, recordings, deviations, held_out=unused, service=service)
+    return calibration.calibrate_scenario(read, recordings, deviations, held_out=unused)
 
 
 def _check_robot(scenario: Path, recording: Files, *, valves: bool) -> None:

@@ -16,7 +16,7 @@ from typer import Argument
 
 from mckibben.cli.command import command, plain_command, present
 from mckibben.cli.help import Command, Commands
-from mckibben.cli.options import ScenarioFile, echo, job_progress, parse_quantity, required_folder
+from mckibben.cli.options import ScenarioFile, check_unused, echo, job_progress, parse_quantity, required_folder
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
 from mckibben.storage.files import check_free, make_folder
 from mckibben.units import bar, percent
@@ -40,6 +40,7 @@ def control(
     unpaced: bool = False,
     ideal: bool = False,
     check: bool = False,
+    service: Path | None = None,
     json: bool = False,
 ) -> None:
     """Run a scenario's controller on a joint or robot in real time, and record it. Ctrl-C stops it and vents.
@@ -59,6 +60,8 @@ def control(
         Ideal sensors, and the same start as `mckibben simulate`.
     check
         Show the reading of each sensor of the rig; nothing is set or recorded.
+    service : SERVICE.yaml
+        Estimate the stiffness on the way, and let the controller's model follow it; a file of `mckibben calibrate`.
     json
         Print machine-readable results instead of a table.
     """
@@ -71,17 +74,24 @@ def control(
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
     if check:
+        check_unused("--check", service=service)
         session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
         _show_status(map(status_line, session.status()))
         return
     out = required_folder(out, "run")
     check_free(make_folder(out), (*JointRunResult.file_names(), "record-0001.mcap"))
-    session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
+    serving, firmware = None, read
+    if service is not None:
+        from mckibben.calibration.serving import InService, serve
+
+        serving = serve(read, InService.read(service), elsewhere=not unpaced)
+        read = serving.scenario
+    session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal, firmware=firmware)
     for warning in session.warnings:
         echo(f"warning: {warning}", err=True)
     with run_line(quiet=json) as progress:
         try:
-            ran = session.run(out, progress=progress)
+            ran = session.run(out, progress=progress, service=serving)
         except StoppedError as stopped:
             echo(str(stopped), err=True)
             raise typer.Exit(1) from None

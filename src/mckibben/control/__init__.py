@@ -6,6 +6,7 @@ from mckibben.control.computed_torque import ComputedTorque
 from mckibben.control.cost import AngleLimits, StageCost, StageEnd
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.delay import DelayCompensation
+from mckibben.control.dither import Dither
 from mckibben.control.feedback import Feedback, PolePlacement, SlidingMode
 from mckibben.control.inverse_model import InverseModelControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, VelocityObserver
@@ -35,6 +36,7 @@ __all__ = [
     "Controller",
     "DecouplingControl",
     "DelayCompensation",
+    "Dither",
     "ExtendedStateObserver",
     "Feedback",
     "InverseModelControl",

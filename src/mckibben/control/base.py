@@ -17,6 +17,7 @@ from jaxtyping import Array, ArrayLike, Float, PyTree
 from mckibben.actuator import Actuator
 from mckibben.component.base import Component, Inherited, Units
 from mckibben.component.columns import Labelled
+from mckibben.component.schema import inherited_fields, replaced
 from mckibben.control.reference import ReferenceDerivatives, Signal, as_signal
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
@@ -199,6 +200,23 @@ class Controller(DiscreteTimeSystem[State]):
 
         At least ``stiffness_estimate`` [N*m/rad]; ``saturated`` where the controller limits its own commands.
         """
+
+
+def field_of(controller: DiscreteTimeSystem, name: str) -> Any:
+    """Return the field of a controller, or of the one that it wraps; None without."""
+    own = getattr(controller, name, None)
+    return own if own is not None else next((field_of(inner, name) for inner in _inner(controller).values()), None)
+
+
+def with_fields(controller: DiscreteTimeSystem, fields: Mapping[str, Any]) -> Any:
+    """Return a controller with other values of the fields that it, or one that it wraps, has and does not inherit."""
+    stated = {name for name, value in vars(controller).items() if value is not None} - inherited_fields(controller)
+    own = {name: value for name, value in fields.items() if name in stated}
+    return replaced(controller, own | {name: with_fields(inner, fields) for name, inner in _inner(controller).items()})
+
+
+def _inner(controller: DiscreteTimeSystem) -> dict[str, Controller]:
+    return {name: field for name, field in vars(controller).items() if isinstance(field, Controller)}
 
 
 def extended(setpoints: Setpoint | tuple[Setpoint, ...], count: int, period: ArrayLike) -> Any:

@@ -10,13 +10,14 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import McKibbenError, RigError, StoppedError
+from mckibben.result import Listing
 from mckibben.rig.backend import Backend, Block, check_unit
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.channels import Channels
@@ -34,6 +35,26 @@ VENTED = 0.2 * bar
 
 _VENTING = 5.0  # s for which the venting is observed
 _RESTING = 60.0  # s for which a joint may swing before a run
+
+
+class ServiceEstimate(Protocol):
+    """Estimate of the controller's model during a run."""
+
+    def add(self, samples: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Take rows of time [s], angles [rad] and pressures [Pa]; return the `ControlProgram.numbers` from now on."""
+
+    def result(self) -> Followed:
+        """Return what was estimated, after the run."""
+
+
+class Followed(Protocol):
+    """Stiffness over the time of a run."""
+
+    def verdict(self) -> str:
+        """The stiffness at the end."""
+
+    def listing(self) -> Listing:
+        """Table over time."""
 
 
 @dataclass(frozen=True)
@@ -200,6 +221,7 @@ def control(
     *,
     stop_flag: StopFlag | None = None,
     progress: Callable[[RunProgress], None] | None = None,
+    service: ServiceEstimate | None = None,
 ) -> RunOutcome:
     """Open a backend, run a controller on it, vent it and close it; all of it is recorded.
 
@@ -213,6 +235,8 @@ def control(
         Stops the run when it is set.
     progress
         Is called each period, and must return at once.
+    service
+        Estimate of the model on the way; its numbers become those of the controller.
 
     Returns
     -------
@@ -224,7 +248,7 @@ def control(
     RigError
         If the backend does not match, before anything moves.
     """
-    loop = ControlLoop(backend, program, plan, limits, recorder, stop_flag or StopFlag(), progress)
+    loop = ControlLoop(backend, program, plan, limits, recorder, stop_flag or StopFlag(), progress, service)
     monitor = loop.monitor
     error: McKibbenError | None = None
     with backend.opened():
@@ -418,6 +442,7 @@ class ControlLoop:
     recorder: Recorder
     stop_flag: StopFlag
     progress: Callable[[RunProgress], None] | None
+    service: ServiceEstimate | None = None
 
     def __post_init__(self) -> None:
         plan, joints, muscles = self.plan, len(self.plan.channels.joints), len(self.plan.channels.muscles)
@@ -436,6 +461,7 @@ class ControlLoop:
         self._stepped: int | None = None  # sample of its last step
         self._inputs = np.zeros(3 * joints + muscles + 1)
         self._commands: tuple[float, ...] | None = None
+        self._samples: list[list[float]] = []  # that the estimate has not got yet
 
     def run(self) -> None:
         """Run all periods of the plan, to the end of the last one."""
@@ -515,6 +541,17 @@ class ControlLoop:
         commanded = rows[-1][COMMANDED_AT] = self.backend.clock()
         self._missed += lost + last + (commanded > times[last] + plan.period * (1 + 1e-9))
         self._report(times[last], number, reading, references)
+        if self.service is not None and references:
+            self._estimate(self.service, rows)
+
+    def _estimate(self, service: ServiceEstimate, rows: list[list[float]], *, together: float = 0.5) -> None:
+        """Hand samples to the estimate, a time [s] of them together, and take the controller that it gives."""
+        self._samples += [[row[0], *row[self._layout.readings]] for row in rows]
+        if len(self._samples) * self.plan.period < together:
+            return
+        numbers, self._samples = service.add(np.array(self._samples)), []
+        if numbers is not None:
+            self.program.numbers = numbers
 
     def _report(self, time: float, number: int, reading: Sequence[float], references: Sequence[float]) -> None:
         """Report the progress after a period."""

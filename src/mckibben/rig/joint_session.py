@@ -30,7 +30,15 @@ from mckibben.rig.compiled import (
     starting_state,
     vented_state,
 )
-from mckibben.rig.control_loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
+from mckibben.rig.control_loop import (
+    Followed,
+    RunOutcome,
+    RunPlan,
+    RunProgress,
+    ServiceEstimate,
+    control,
+    realtime_process_settings,
+)
 from mckibben.rig.joint_record import Timing, by_laws, columns, measured_run
 from mckibben.rig.joint_rig import JointRig, RunConditions
 from mckibben.rig.record import Recorder, read_record, segments, software_versions
@@ -61,6 +69,8 @@ class JointRunResult(Result):
         Timing of the loop; meaningless unless the run is `paced`.
     priority
         Priority of the process: "real-time" or "ordinary".
+    service
+        Stiffness as estimated during the run; None without an estimate.
     """
 
     files: ClassVar = (*SimulationResult.files, "tracking.png", "tracking.svg")
@@ -70,11 +80,12 @@ class JointRunResult(Result):
     timing: Timing
     paced: bool
     priority: str
+    service: Followed | None = None
 
     def verdict(self) -> str:
         """The verdict on the motion, or the reason of a stop, and the outcome of the venting."""
         text = self.result.verdict() if self.result is not None and self.outcome.completed else self.outcome.kind
-        return f"{text}; {self.outcome.venting}"
+        return f"{text}; {self.outcome.venting}{f'; {self.service.verdict()}' if self.service else ''}"
 
     @property
     def joint_type(self) -> JointType:
@@ -105,6 +116,12 @@ class JointRunResult(Result):
         """The timing of a paced run."""
         if self.paced:
             yield self.timing.listing(f"{self.priority} priority")
+
+    @table()
+    def in_service(self) -> Iterator[Listing]:
+        """The stiffness as estimated, over time."""
+        if self.service:
+            yield self.service.listing()
 
     def write(self, folder: Path) -> None:
         """Write the files of a simulation."""
@@ -175,8 +192,11 @@ class JointSession:
         folder: str | os.PathLike[str],
         *,
         progress: Callable[[RunProgress], None] | None = None,
+        service: ServiceEstimate | None = None,
     ) -> JointRunResult:
         """Run the scenario and record it in a folder that holds no record; `progress` is called each period.
+
+        An estimate in `service` gets the samples, and its numbers become those of the controller.
 
         Raises
         ------
@@ -205,6 +225,7 @@ class JointSession:
                         recorder,
                         stop_flag=stop_flag,
                         progress=progress,
+                        service=service,
                     )
             except RigError as error:
                 if outcome is None:
@@ -217,7 +238,8 @@ class JointSession:
         timing, result = Timing.of(table, self.plan.period), self.measured(table)
         if result is not None and paced:
             result = dataclasses.replace(result, missed=timing.missed, deadlines=timing.periods)
-        return JointRunResult(outcome, result, timing, paced, priority)
+        followed = None if service is None else service.result()
+        return JointRunResult(outcome, result, timing, paced, priority, followed)
 
     @property
     def columns(self) -> list[mcap.Column]:

@@ -109,6 +109,25 @@ def test_commands_beyond_what_the_specimens_bear_are_cut_off(stiff):
     assert kept.columns["limited"][:20].all()
 
 
+def test_an_estimate_gets_all_samples_under_control_and_its_numbers_become_the_controllers(stiff):
+    class Estimate:
+        rows = np.zeros((0, 4))
+
+        def add(self, samples):
+            self.rows = np.concatenate([self.rows, samples])
+            return np.array([7.0]) if len(self.rows) > 600 else None
+
+    estimate, program = Estimate(), SteadyControl()
+    plan = stiff.plan(1500, raising=20, settling=10)
+    outcome, kept = stiff._replace(control=program).run(plan=plan, service=estimate)
+    assert outcome.completed and program.numbers.tolist() == [7.0]
+    columns = kept.columns
+    controlled = np.isin(columns["phase"], [Phase.SETTLING, Phase.RUN])
+    handed = np.stack([columns[name][controlled] for name in ("read_at", "angle", "pressure1", "pressure2")], axis=1)
+    np.testing.assert_array_equal(estimate.rows[:, 1:], handed[: len(estimate.rows), 1:])
+    assert len(estimate.rows) == 1500  # the last 10 are not a whole half of a second
+
+
 def test_a_late_loop_takes_the_newest_sample_and_tells_how_long_it_took(stiff):
     told = []
 

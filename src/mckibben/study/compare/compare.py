@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from mckibben.errors import McKibbenError
@@ -15,7 +16,7 @@ from mckibben.study.compare.changes import on_changed_plants
 from mckibben.study.compare.result import CompareResult
 from mckibben.study.compare.runs import draw, evaluate
 from mckibben.study.compare.statistics import trial_at_air
-from mckibben.study.compare.suite import ControllerSuite
+from mckibben.study.compare.suite import ControllerSuite, Suite
 from mckibben.study.compare.tuning import ControllerTuning
 from mckibben.study.tune.space import SearchSpace
 
@@ -67,6 +68,10 @@ def compare(
     names = list(suite.controllers)
     efforts = [runs_of(suite, name) for name in names]
     result, at_air = (CompareResult(suite, evaluation, {}, {}, {}, {}) for _ in range(2))
+    calibrated = None
+    if isinstance(suite, Suite) and suite.calibration is not None:
+        calibrated, possible = evaluation.calibrated(partial(progress, "calibration of the models"))
+        result = replace(result, calibrated_runs=possible)
     with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
         for number, name in enumerate(names):
 
@@ -90,6 +95,8 @@ def compare(
             for kind in (result, at_air):
                 if name in kind.tuned:
                     kind.batches[name] = evaluate(evaluation, name, kind.tuned[name])
+            if calibrated is not None:
+                result.calibrated[name] = evaluate(calibrated, name, result.tuned[name])
             with suppress(McKibbenError):  # its run cannot start or diverges, as the table shows
                 result.margins[name] = suite.tuned_scenario(name, result.tuned[name]).margins()
             follows: ModelFollows = "all" if name in suite.true_model else ()

@@ -54,6 +54,8 @@ class CompareResult(Result):
     finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with the medians of their further runs
     margins: dict[str, Margins] = field(default_factory=dict)  # as tuned, on the plant of the models
     changed: dict[str, Changed] = field(default_factory=dict)  # as tuned, on plants that differ in one respect
+    calibrated: dict[str, Batch] = field(default_factory=dict)  # with models calibrated on the plants of the runs
+    calibrated_runs: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # whether each first run was
 
     @property
     def joint_type(self) -> JointType:
@@ -127,6 +129,9 @@ class CompareResult(Result):
                 "one controller is compared with itself alone: PID and decoupling need a pair of muscles at each joint"
             )
             yield Remark.warning("controllers", text, remedy="give others in `controllers` of the suite")
+        if count := int((~self.calibrated_runs).sum()):
+            text = f"{count} of {self.calibrated_runs.size} plants could not be calibrated, and are left out there"
+            yield Remark.note("calibration", text, "give another weight or angle")
         if count := int((~self.started).sum()):
             yield Remark.warning("runs", f"{count} runs were infeasible: no static equilibrium at their start")
         if self.at_air and (left_out := [n for n, gains in self.tuned.items() if gains and n not in self.at_air.tuned]):
@@ -155,6 +160,11 @@ class CompareResult(Result):
             first = next(iter(self.batches))
             air = f"{self.training_air(first) / litre:.4g} L in the training runs"
             yield Listing(f"With no more air than the tuned {first} ({air})", self.at_air.errors_against(self))
+
+    @table("True errors before and after a calibration of the models on the plants")
+    def after_calibration(self) -> TableColumns:
+        """Return the true errors of the stiffness in the first runs, before and after a calibration of the models."""
+        return calibrated_columns([self], self.order)
 
     def errors_against(self, tuned: CompareResult) -> TableColumns:
         """Return the errors, against those of the first controller as tuned in another result."""
@@ -249,12 +259,51 @@ class PooledResult(Result):
         results, at_air = list(self.results.values()), [r.at_air for r in self.results.values() if r.at_air]
         return error_columns(at_air, results, list(results[0].batches)) if len(at_air) == len(results) else {}
 
+    @table("All setups: true errors before and after a calibration of the models on the plants")
+    def after_calibration(self) -> TableColumns:
+        """Return the true errors of the stiffness, as for one setup."""
+        results = list(self.results.values())
+        return calibrated_columns(results, list(results[0].batches))
+
     @table()
     def setups(self) -> Iterator[Listing]:
         """Yield the tables of each setup."""
         for name, result in self.results.items():
             for listing in result.listings():
                 yield replace(listing, title=f"{name}: {listing.title or 'unseen runs'}", detail=True)
+
+
+def calibrated_columns(results: Sequence[CompareResult], names: Sequence[str]) -> TableColumns:
+    """Return columns over the runs of all results whose models were calibrated; none without any.
+
+    Errors of the stiffness as medians and 95th percentiles, and medians of the angle error; runs that failed count in
+    neither.
+    """
+    if not all(result.calibrated_runs.any() for result in results):
+        return {}
+
+    def values(name: str, metric: str, *, calibrated: bool) -> Vector:
+        columns = []
+        for result in results:
+            batch, rows = result.batches[name], np.flatnonzero(result.calibrated_runs)
+            batch, rows = (result.calibrated[name], np.arange(rows.size)) if calibrated else (batch, rows)
+            columns.append(np.where(batch.usable, mean_of_joints(batch.metrics[metric]), np.nan)[rows])
+        return np.concatenate(columns)
+
+    count = sum(int(result.calibrated_runs.sum()) for result in results)
+    columns: TableColumns = {"controller": (Column(), list(names)), "runs": (Column(), [count] * len(names))}
+    for key, unit, shown in (("stiffness", "N*m/rad", ""), ("angle", "rad", "deg")):
+        for when, calibrated in (("before", False), ("after", True)):
+            spread = np.array([_spread(values(name, f"{key}_rmse", calibrated=calibrated)) for name in names])
+            columns[f"{key}_{when}"] = Column(unit, f"{key} RMSE, {when}", shown, digits=3), spread[:, 0]
+            columns[f"{key}_{when}_95"] = Column(unit, f"{key}, {when}, 95 %", shown, digits=3), spread[:, 1]
+    return columns
+
+
+def _spread(values: Vector) -> Vector:
+    """Median and 95th percentile over the runs that did not fail."""
+    finite = values[np.isfinite(values)]
+    return np.percentile(finite, [50, 95]) if finite.size else np.full(2, np.nan)
 
 
 def errors_in(results: Sequence[CompareResult], name: str, metric: str) -> Vector:
@@ -287,14 +336,8 @@ def error_columns(
     """
     names, first = [name for name in names if all(name in r.batches for r in results)], next(iter(tuned[0].batches))
 
-    def spread(name: str, metric: str) -> Vector:
-        """Median and 95th percentile over the runs that did not fail."""
-        values = errors_in(results, name, metric)
-        finite = values[np.isfinite(values)]
-        return np.percentile(finite, [50, 95]) if finite.size else np.full(2, np.nan)
-
     angle, stiffness, air = (
-        np.reshape([spread(name, metric) for name in names], (-1, 2)).T
+        np.reshape([_spread(errors_in(results, name, metric)) for name in names], (-1, 2)).T
         for metric in ("angle_rmse", "stiffness_rmse", "air")
     )
     ratio, low, high = np.reshape([ratio_of_errors(results, n, tuned, resamples=2000) for n in names], (-1, 3)).T

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import PyTree
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.binding import call
 from mckibben.control import Reference, Samples, Sine
-from mckibben.control.base import Setpoint
+from mckibben.control.base import Setpoint, with_fields
 from mckibben.errors import ParameterError
 from mckibben.notebook import silent
 from mckibben.numerics.batching import lanes_of
@@ -40,6 +41,7 @@ class Group:
     rows: NDArray[np.int64]  # indices of these runs, shape (count,)
     conditions: Table  # values [SI] of the varied plant parameters, one per run
     parts: BatchParts  # with arrays of shape (count, ...) where runs differ; references of a joint are sampled
+    models: PyTree = None  # joint and load of the models, with arrays of shape (count,); None for those of the suite
 
     @property
     def count(self) -> int:
@@ -86,9 +88,8 @@ class Runs:
                 table.setdefault(name, np.full(self.count, np.nan))[table["reference"] == reference] = values
         return table
 
-    def without_noise(self, rows: NDArray[np.int64]) -> Runs:
-        """Some of the runs, with ideal sensors, for their simulation."""
-        names = [name.removeprefix("sensors.") for name in sensor_noise(self.suite.example())]
+    def only(self, rows: NDArray[np.int64]) -> Runs:
+        """Some of the runs, for their simulation."""
         groups = []
         for group in self.groups:
             kept = np.isin(group.rows, rows)
@@ -96,11 +97,40 @@ class Runs:
                 continue
             _, varying = lanes_of(group.parts)
             some = jax.tree.map(lambda leaf, varies, kept=kept: leaf[kept] if varies else leaf, group.parts, varying)
-            sensors = replace(some.plant.sensors, **dict.fromkeys(names, np.zeros(kept.sum())))
-            parts = some._replace(plant=replace(some.plant, sensors=sensors))
             conditions = {name: column[kept] for name, column in group.conditions.items()}
-            groups.append(Group(group.joint, np.searchsorted(rows, group.rows[kept]), conditions, parts))
+            groups.append(Group(group.joint, np.searchsorted(rows, group.rows[kept]), conditions, some))
         return replace(self, joint=[self.joint[row] for row in rows], groups=tuple(groups))
+
+    def without_noise(self, rows: NDArray[np.int64]) -> Runs:
+        """Some of the runs, with ideal sensors."""
+        names, runs = [name.removeprefix("sensors.") for name in sensor_noise(self.suite.example())], self.only(rows)
+        groups = []
+        for group in runs.groups:
+            sensors = replace(group.parts.plant.sensors, **dict.fromkeys(names, np.zeros(group.count)))
+            groups.append(replace(group, parts=group.parts._replace(plant=replace(group.parts.plant, sensors=sensors))))
+        return replace(runs, groups=tuple(groups))
+
+    def calibrated(self, progress: Callable[[float], None]) -> tuple[Runs, NDArray[np.bool_]]:
+        """Those of the first runs whose plants can be calibrated, with these models, and whether each of the first is.
+
+        Raises `ParameterError` if none can.
+        """
+        settings, first = self.suite.calibration, next(iter(self.suite.controllers))  # type: ignore[attr-defined]
+        count = min(settings.runs, self.count)
+        models = []
+        for run in range(count):
+            progress(run / count)
+            models.append(call("calibrated_models", self.scenario(first, run), settings))
+        done = np.array([model is not None for model in models])
+        if not done.any():
+            remedy = "give another weight, or a smaller angle, in `calibration`"
+            raise ParameterError("no plant can be calibrated with the first controller", remedy=remedy)
+        kept, groups = self.only(np.flatnonzero(done)), []
+        known = [model for model in models if model is not None]
+        for group in kept.groups:
+            stacked = jax.tree.map(lambda *numbers: np.stack(numbers), *[known[row] for row in group.rows])
+            groups.append(replace(group, models=stacked))
+        return replace(kept, groups=tuple(groups)), done
 
 
 def draw(suite: ControllerSuite, count: int, seed: int) -> Runs:
@@ -255,7 +285,8 @@ def controller_of(runs: Runs, group: Group, controller: str, table: Table, sets:
     columns = {name: np.repeat(np.asarray(column), group.count) for name, column in table.items()}
     suite = runs.suite
     if controller not in suite.true_model:
-        return _with_columns(suite.scenario(controller), columns).control()
+        control = _with_columns(suite.scenario(controller), columns).control()
+        return control if group.models is None else with_fields(control, _tiled(group.models, sets))
     columns |= {name: np.tile(column, sets) for name, column in group.conditions.items()}
     return _with_columns(suite.scenario(controller, joint=group.joint), columns, model_follows="all").control()
 

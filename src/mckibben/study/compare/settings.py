@@ -21,7 +21,17 @@ from mckibben.scenario.scenario import (
 )
 from mckibben.study.parameters import SweptParameter, parse_sweeps, sweep_parameters
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
-from mckibben.units import HINGE, AngularVelocity, BoundedInt, CommandDelay, JointType
+from mckibben.units import (
+    HINGE,
+    Angle,
+    AngularVelocity,
+    BoundedInt,
+    CommandDelay,
+    JointType,
+    Length,
+    PositiveMass,
+    deg,
+)
 
 S = TypeVar("S", bound=StudiedScenario)
 Share = Annotated[int, BoundedInt(1, 1000)]
@@ -104,6 +114,19 @@ class EvaluationSettings(ConfigModel):
 
     runs: Annotated[int, BoundedInt(2, _MOST)] = 512
     seed: Seed = 1
+
+
+class ComparedCalibration(ConfigModel):
+    """Calibration of the models of all controllers on the plants of the first evaluation runs, before these.
+
+    The experiment is that of `mckibben calibrate` with a weight, whose limb is not weighed, without disturbance; the
+    first controller, as in the file, sweeps slowly.
+    """
+
+    weight: PositiveMass
+    distance: Length = 0.2
+    angle: Angle = 10 * deg  # swept to either side
+    runs: Annotated[int, BoundedInt(2, _MOST)] = 32
 
 
 class SuiteSettings(RunSettings):

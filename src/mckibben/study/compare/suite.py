@@ -34,6 +34,7 @@ from mckibben.study.compare.checks import check_differs, problems_of_suite
 from mckibben.study.compare.settings import (
     NOMINAL_JOINT,
     PLANT,
+    ComparedCalibration,
     EvaluationSettings,
     PlantCase,
     ReferenceCase,
@@ -123,6 +124,8 @@ class Suite(ControllerSuite):
         Largest angular acceleration [rad/s^2] and velocity [rad/s] of a reference; sines are scaled down to them.
     setups
         Valves by name, each compared separately: see `of_setup`.
+    calibration
+        Whether the controllers are also compared with models that are calibrated on the plants.
     """
 
     plant_sections = PLANT
@@ -147,6 +150,7 @@ class Suite(ControllerSuite):
     true_model: tuple[str, ...] = ()
     tuning: TuningSettings = TuningSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
+    calibration: ComparedCalibration | None = None
     duration: Duration
     control_period: PositiveTime
     accuracy: Accuracy = ACCURACY
