@@ -34,7 +34,7 @@ HEAD = """# What works for which robot
 Made on {date} by `python benchmarks/capabilities.py [NAME ...]`: each command is tried on the knee of the paper, a
 muscle with mass and spring, the leg of the paper, the [arm that is read from MJCF](../robot-files.md), a neck whose
 muscles pass over both joints, and UMArm with 12 joints and 24 muscles. Runs are cut to a few control periods: it is
-asked what works, not how well. "over {longest} s": of processor time, and then ended.
+asked what works, not how well. "over {longest} s": of processor time, and then ended. Blank: not tried yet.
 
 """
 LONGEST = 400
@@ -139,7 +139,7 @@ def answers(robot, names=(*COMMANDS, *PYTHON)):
 
 
 def page(table):
-    """The table as Markdown, with the refusals below it; blank where a capability was never tried."""
+    """The page of a table of answers; blank where a capability was never tried."""
     header, shown = ["", *table], ("", "yes", TOO_LONG)
     texts = {name: [of.get(name, "") for of in table.values()] for name in (*COMMANDS, *PYTHON)}
     rows = [[name, *(text if text in shown else "no" for text in row)] for name, row in texts.items()]
@@ -151,7 +151,8 @@ def page(table):
             if text not in shown:
                 refused.setdefault((name, text), []).append(robot)
     reasons = [f"- {name}, {', '.join(robots)}: {text}" for (name, text), robots in refused.items()]
-    return "\n".join([*lines, "", "## What is refused, and why", "", *reasons]) + "\n"
+    head = HEAD.format(longest=LONGEST, date=max(of[TRIED] for of in table.values()))
+    return head + "\n".join([*lines, "", "## What is refused, and why", "", *reasons]) + "\n"
 
 
 def main():
@@ -164,7 +165,7 @@ def main():
     for robot in asked.names or SCENARIOS:
         table[robot] = table.get(robot, {}) | answers(robot, asked.only or (*COMMANDS, *PYTHON))
         ANSWERS.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(HEAD.format(longest=LONGEST, date=date.today()) + page(table), encoding="utf-8")
+    PAGE.write_text(page(table), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -108,14 +108,6 @@ def test_no_degenerate_test_of_a_muscle_gives_a_law_in_silence(monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_arm_of_the_benchmark_is_that_of_soromox(bench, tmp_path):
-    pytest.importorskip("soromox")
-    theirs, ours = importlib.import_module("umarm").umarm(tmp_path, quick=True).rows
-    assert theirs.seconds and ours.seconds
-    assert ours.deviation < 1e-12
-
-
-@pytest.mark.slow
 def test_the_arm_of_the_documentation_follows_in_a_foreign_plant(monkeypatch, tmp_path):
     """Its exported C, with friction, mass, payload, delay, strength and noise that are not those of the file."""
     pytest.importorskip("mujoco")

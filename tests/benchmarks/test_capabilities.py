@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 from pathlib import Path
 from types import ModuleType
 
@@ -30,20 +31,14 @@ def test_runs_and_batches_are_compiled_c_also_where_no_engine_is_asked_for(capab
     assert run_many(scenario, {"command_delay": [0.0, scenario.control_period]}).engine == "native"
 
 
-def columns_of(page):
-    """The answers of the page by robot and capability."""
-    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in page.splitlines() if row.startswith("|")]
-    (_, *robots), _, *answers = rows
-    return {robot: {name: cells[place] for name, *cells in answers} for place, robot in enumerate(robots)}
+def test_the_page_is_made_of_the_kept_answers(capabilities):
+    table = json.loads(capabilities.ANSWERS.read_text(encoding="utf-8"))
+    assert capabilities.PAGE.read_text(encoding="utf-8") == capabilities.page(table)
 
 
 @pytest.mark.slow
-def test_the_page_says_what_works(capabilities):
-    """All that it refuses is refused; the benchmark itself tries all, and takes an hour."""
-    page = (ROOT / "docs" / "results" / "capabilities.md").read_text(encoding="utf-8")
-    robot = "leg"
-    column = columns_of(page)[robot]
-    assert [*column] == [*capabilities.COMMANDS, *capabilities.PYTHON]
-    refused = [name for name, answer in column.items() if answer == "no"]
-    assert "yes" not in capabilities.answers(robot, refused).values()
-    assert all(f"\n- {name}, {robot}: " in page for name in refused)
+def test_what_is_refused_by_the_page_is_refused(capabilities):
+    """The benchmark itself tries all, and takes an hour."""
+    kept = json.loads(capabilities.ANSWERS.read_text(encoding="utf-8"))["leg"]
+    answers = capabilities.answers("leg", [name for name in capabilities.COMMANDS if kept[name] != "yes"])
+    assert "yes" not in answers.values()

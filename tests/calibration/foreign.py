@@ -189,8 +189,10 @@ def simulate(rigs: Rigs, parts: Parts, middle: float, mean: tuple[float, float],
 def adapted(rigs: Rigs, parts: Parts, middle: float, mean: tuple[float, float]) -> np.ndarray:
     """Amplitudes [Pa] at which fast parts move by about 10 deg."""
     amplitude = np.full((rigs.count, parts.mass.size), 0.4e5)
-    angles = simulate(rigs, parts, middle, mean, amplitude)[1]
-    return amplitude * np.clip(10 * DEG / (np.abs(angles[1000:] - middle).max(axis=0)), 0.5, 1.6)
+    for _ in range(2):
+        angles = simulate(rigs, parts, middle, mean, amplitude)[1]
+        amplitude = amplitude * np.clip(10 * DEG / (np.abs(angles[1000:] - middle).max(axis=0)), 0.5, 1.6)
+    return amplitude
 
 
 def measured(rng, angles, pressures, zero, *, noise=4e3, step=0.022 * DEG):

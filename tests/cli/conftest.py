@@ -92,9 +92,9 @@ main()
 
 @pytest.fixture
 def stopped(tmp_path):
-    """Run a command until three more records are kept, then send a signal; exit code and messages."""
+    """Run a command until three more records are kept, then interrupt it; exit code and messages."""
 
-    def stop(sent: signal.Signals, *arguments: str) -> tuple[int, str]:
+    def stop(*arguments: str) -> tuple[int, str]:
         process = subprocess.Popen(
             [sys.executable, "-c", HOLDING, *arguments],
             cwd=tmp_path,
@@ -104,7 +104,7 @@ def stopped(tmp_path):
         )
         while process.poll() is None and not (tmp_path / "holding").exists():
             time.sleep(0.01)
-        process.send_signal(sent)
+        process.send_signal(signal.SIGINT)
         _, messages = process.communicate(timeout=100)
         (tmp_path / "holding").unlink()
         assert "Traceback" not in messages

@@ -54,7 +54,7 @@ def settled(result):
 
 
 @pytest.mark.parametrize("kind", ["decoupling", "predictive"])
-@pytest.mark.parametrize("conductance", VALVES)
+@pytest.mark.parametrize("conductance", [0.4, 0.025])
 @pytest.mark.slow
 def test_valves_with_air_are_controlled_as_well_as_lags(run, make, kind, conductance):
     result = run(VALVES[conductance], make(kind, VALVES[conductance], 60.0))

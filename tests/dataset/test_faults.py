@@ -230,7 +230,9 @@ def test_periodic_motions_and_uneven_samples_are_not_late(motion, damping, tmp_p
         assert len(read_dataset(written(tmp_path / "a.csv", columns))) > 0
 
 
-@pytest.mark.parametrize(("name", "shift", "begin"), [("pressure", 1.013 * bar, 0.3), ("force", 60.0, 0.55)])
+@pytest.mark.parametrize(
+    ("name", "shift", "begin"), [("pressure", 1.013 * bar, 0.3), ("force", 60.0, 0.55), ("force", -15.0, 0.35)]
+)
 def test_another_zero_within_loops_is_a_question_with_its_time(name, shift, begin, tmp_path):
     time = np.arange(0, 30, 0.05)
     columns = moved(time, np.interp(time, [0, 15, 30], [0.01, 0.15, 0.01]), (1.5, 2.5, 3.5, 4.5))

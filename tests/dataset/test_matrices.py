@@ -103,3 +103,24 @@ def test_a_matrix_has_three_quantities():
     assert Recipe(matrix="pressure_bar, contraction_percent, force_N").matrix[1] == "contraction_percent"
     with pytest.raises(ScenarioError, match="rows, columns and cells"):
         Recipe(matrix="pressure_bar, force_N")
+
+
+@pytest.mark.parametrize("across", ["loads", "pressures"])
+def test_loads_that_hang_while_the_pressure_rises_and_falls_are_passes_of_each_load(across, tmp_path):
+    """Whichever way the table is turned: a load stays, and its pressures follow each other."""
+    pressures, loads = np.array([2.0, 3, 4, 5, 6, 5, 4, 3, 2]), np.array([3.0, 5, 8, 11])
+    side = np.where(np.arange(9) < 5, -1.0, 1.0)
+    cells = 75 - 3 * loads - 60 / pressures[:, None] - 0.8 * side[:, None]
+    rows, columns, cells = (pressures, loads, cells) if across == "loads" else (loads, pressures, cells.T)
+    np.savetxt(
+        tmp_path / "m.csv",
+        np.column_stack([rows, cells]),
+        "%.3f",
+        ",",
+        header=",".join(map(str, ("", *columns))),
+        comments="",
+    )
+    names = ("pressure_bar", "mass_kg")[:: 1 if across == "loads" else -1]
+    data = read_dataset(tmp_path / "m.csv", matrix=[*names, "shortening_mm"], initial_length=0.2)
+    found = data.table["direction"].to_numpy().reshape(4, 9)
+    assert (found[:, 1:5] == "unloading").all() and (found[:, 5:] == "loading").all()

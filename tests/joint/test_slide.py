@@ -213,6 +213,32 @@ def test_an_environment_of_one_muscle_has_finite_rewards():
     assert np.isfinite([*observation, *after, reward]).all() and not terminated and 0 < reward
 
 
+LOOP = "stiffness: {kp: 0.02 bar/(N/mm), ki: 1 bar/(N*s/mm), kd: 0 bar*s/(N/mm)}"
+
+
+def test_controllers_of_two_muscles_on_a_slide_are_compared_in_its_units():
+    one = mk.Scenario.parse(AXIS)
+    text = (
+        re.sub(r"  muscle1: .*\n", "", AXIS)
+        .replace("muscle2", "muscle")
+        .replace("rest_length1: 150", "rest_length1: 165")
+    )
+    text = text.replace("controller: {", f"controller: {{{LOOP}, ").replace(
+        "phase: 90 deg}", "phase: 90 deg}, stiffness: 16 N/mm"
+    )
+    two = mk.Scenario.parse(text)
+    suite = two.suite()
+    assert [*suite.controllers] == ["scenario", "decoupling"]
+    assert [term.scale for term in suite.cost.terms] == pytest.approx([0.1 * mm, 0.5 * N / mm])
+    for scenario, field, settings in (
+        (one, "joint", {}),
+        (two, "tuning.cost", {"tuning": {"cost": "angle_rmse/1 deg"}}),
+    ):
+        with pytest.raises(ScenarioError) as caught:
+            scenario.suite(**settings)
+        assert [problem.field for problem in caught.value.problems] == [field]
+
+
 def test_the_stiffness_of_a_slide_in_service_is_in_its_unit():
     stiffness, deviation, none = np.array([[12e3]]), np.array([[100.0]]), np.empty((1, 0))
     service = Service(np.array([2.0]), stiffness, deviation, stiffness, 9 * deviation, none, none, (("",), ()), SLIDE)

@@ -38,7 +38,7 @@ def test_a_cell_has_the_error_the_margin_that_is_too_small_or_the_failure():
     flags = {"flag_values": np.arange(len(OUTCOMES)), "flag_meanings": " ".join(each.name for each in OUTCOMES)}
     table = xr.Dataset({"angle_rmse": ("run", np.array([0.5, 1.0, 2.0]) * deg), "outcome": ("run", codes, flags)})
     changed = Changed(("nominal", "payload +50 %", "delay x 1.5"), Batch(table), np.array([0.5, 0.11, -0.2]))
-    assert changed.cells == ["0.5", "1 (disk 0.11)", "limit cycle"]
+    assert changed.cells(deg) == ["0.5", "1 (disk 0.11)", "limit cycle"]
 
 
 @pytest.mark.slow

@@ -415,7 +415,7 @@ async def test_several_files_are_one_test_and_gone_when_others_replace_them(user
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("where", ["/identify", "/run", "/tune", "/rig", "/robot"])
+@pytest.mark.parametrize("where", ["/run", "/rig"])
 @visits
 async def test_a_page_is_freed_when_it_is_left(user, where):
     pages = []
@@ -469,24 +469,25 @@ async def test_a_parameter_changes_the_run_and_runs_are_overlaid(user):
     assert Scenario.parse(changed.text).dumps() == changed.text
 
 
-@pytest.mark.parametrize("wrong", [1e308, None])
 @pytest.mark.slow
 @visits
-async def test_a_number_that_cannot_be_is_refused_at_its_field(user, wrong):
+async def test_a_number_that_cannot_be_is_refused_at_its_field(user):
     await user.open("/run")
     bench = state(workbench.Workbench)
     await until(lambda: bench.current and there(user, "controller.position.ki"), 60)
     first, field = bench.current, the(user, ui.number, "controller.position.ki")
-    field.set_value(wrong)
-    assert field.error
-    await asyncio.sleep(0.1)
-    assert not bench.jobs.busy and bench.current is first
+    for wrong in (1e308, None):
+        field.set_value(wrong)
+        assert field.error
+        await asyncio.sleep(0.1)
+        assert not bench.jobs.busy and bench.current is first
     field.set_value(70)
     assert not field.error and bench.jobs.busy
     await user.open("/joint")
     field = the(user, ui.number, "radius-of-the-anchors-field")
-    field.set_value(wrong)
-    assert field.error
+    for wrong in (1e308, None):
+        field.set_value(wrong)
+        assert field.error
     field.set_value(40)
     await until(lambda: state(design.JointDesign).dimensions["radius"] == 40)
     assert not field.error

@@ -21,6 +21,7 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
@@ -575,14 +576,17 @@ def _call(command: Sequence[str], folder: str, seconds: float) -> str:
         process = subprocess.Popen(
             command, cwd=folder, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages, start_new_session=True
         )
+        late = threading.Event()
+        timer = threading.Timer(seconds, lambda: (late.set(), _kill(process)))
+        timer.start()  # a wait with a timeout looks only every 50 ms
         try:
-            reason = f"exit status {process.wait(seconds)}"
-        except subprocess.TimeoutExpired:
-            reason = f"it takes longer than {seconds:.0f} s"
+            process.wait()
         finally:
-            slow = process.returncode is None
-            if slow:
+            timer.cancel()
+            if process.returncode is None:
                 _kill(process)
+        slow = late.is_set()
+        reason = f"it takes longer than {seconds:.0f} s" if slow else f"exit status {process.returncode}"
         messages.seek(0)
         line, *_ = [*messages.read(10_000).decode(errors="replace").strip().splitlines(), reason]
     if process.returncode:
@@ -595,10 +599,11 @@ def _call(command: Sequence[str], folder: str, seconds: float) -> str:
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
     """End a process and its children."""
-    if hasattr(os, "killpg"):
-        os.killpg(process.pid, signal.SIGKILL)
-    else:
-        process.kill()
+    with suppress(ProcessLookupError):  # it has just ended
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
     process.wait()
 
 

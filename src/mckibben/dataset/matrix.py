@@ -111,7 +111,8 @@ def read_matrix(
     if not points:
         remedy = "give a row of numbers above the columns, and a number before each row"
         raise refusal(path, "has no matrix", remedy, "matrix")
-    if "pressure" in parse_header(parse_line(mapping["columns"])[2]).quantity:
+    across, down = (parse_header(parse_line(mapping[name])[2]).quantity for name in ("columns", "rows"))
+    if "force" in across or ("pressure" in across and "force" not in down):  # what a test holds
         points.sort(key=lambda point: point.column)
     budget.spend(rows=len(points), size=24 * len(points))
     table.lines = [point.line for point in points]

@@ -14,8 +14,7 @@ from mckibben.errors import ExportError, ParameterError
 from mckibben.export.controller import parts_of
 from mckibben.export.evaluation import evaluate, find_function
 from mckibben.export.plant import plant_unit
-from mckibben.plant import JointPlant
-from mckibben.plant.robot_plant import RobotPlant
+from mckibben.plant import Plant
 from mckibben.scenario import Scenario
 from mckibben.scenario.robot import RobotScenario
 
@@ -30,7 +29,7 @@ class CasadiPlant(NamedTuple):
 
 
 def casadi_plant(
-    scenario: Scenario | RobotScenario | JointPlant | RobotPlant,
+    scenario: Scenario | RobotScenario | Plant,
     *,
     substeps: int | None = None,
     parameters: Sequence[str] = (),
@@ -62,7 +61,7 @@ def casadi_plant(
         plant, _, start = parts_of(scenario)
         steps = substeps or scenario.needed_substeps()
     else:
-        plant, steps, start = scenario, substeps or 4, _at_rest(scenario)
+        plant, steps, start = scenario, substeps or 4, scenario.unpressurised()
     unit = plant_unit(plant, start, "plant", 1.0, steps)
     names = [function.name for function in unit.module.functions]
     functions = {name: casadi_function(unit.module, name, parameters=parameters) for name in names}
@@ -76,13 +75,6 @@ def casadi_plant(
     if not unit.model_exchange:
         left_out.append("differentiate: the valves switch at integration steps; advance includes them")
     return CasadiPlant(functions, state, inputs, tuple(left_out))
-
-
-def _at_rest(plant: JointPlant | RobotPlant) -> PyTree:
-    """State without pressure at angles of 0, or as near as stops permit."""
-    if isinstance(plant, JointPlant):
-        return plant.init_state(0.0, (0.0, 0.0))
-    return plant.init_state(plant.robot.posture_angles({}), (0.0,) * len(plant.muscles))
 
 
 def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str] = ()) -> Any:

@@ -347,7 +347,7 @@ def _joint(plant: JointPlant, start: PyTree) -> Assembly:
     inertial = _inertial(point.mass, (0, 0, -point.distance), point.inertia, point.inertia, point.inertia)
     limb = _hung("limb", inertial, hinge, None, joint_type)
     limb.bone(Vector(0.0, 0.0, -point.distance or -0.1))
-    start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
+    start = plant.unpressurised() if start is None else start
     assembly = Assembly(plant, start, [base, limb], [hinge], [0])
     assembly.add_pair(lambda plant: plant.joint, ("muscle1", "muscle2"), 0, 0)
     assembly.left_out += [*_presliding([hinge]), *point.assumed]
@@ -358,9 +358,7 @@ def _joint(plant: JointPlant, start: PyTree) -> Assembly:
 
 def _robot(plant: RobotPlant, start: PyTree) -> Assembly:
     """Ground, bodies and muscles of a robot."""
-    robot = plant.robot
-    if start is None:
-        start = plant.init_state(robot.posture_angles({}), [0.0] * len(robot.all_muscles))
+    robot, start = plant.robot, plant.unpressurised() if start is None else start
     softness = compliance(plant, start)
     frames = zip(robot.frame_names[1:], robot.frame_bodies[1:], robot.joints, strict=True)
     height = float(start.position.z) if robot.base == "fixed" else 0.0

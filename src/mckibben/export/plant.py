@@ -14,13 +14,10 @@ from mckibben.export.controller import units_of
 from mckibben.export.functional_unit import FunctionalUnit, per_second
 from mckibben.muscle import MuscleState
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IOState, JointPlant
-from mckibben.plant.robot_plant import RobotPlant
-
-_Plant = JointPlant | RobotPlant
+from mckibben.plant import IOState, Plant
 
 
-def plant_unit(plant: _Plant, initial: PyTree, name: str, period: float, substeps: int) -> FunctionalUnit:
+def plant_unit(plant: Plant, initial: PyTree, name: str, period: float, substeps: int) -> FunctionalUnit:
     """Program of a plant without sensors and disturbances, from an initial state.
 
     Functions: `init`, the state at positions, velocities and pressures; `evaluate`, stiffness and tensions; `advance`,
@@ -54,14 +51,14 @@ def plant_unit(plant: _Plant, initial: PyTree, name: str, period: float, substep
     inputs["torque"] = plant.mechanism.like_joints([jnp.zeros(())] * len(plant.disturbances))
     module = SourceModule(name, numbers)
 
-    def commanded(parameters: PyTree, state: PyTree, inputs: PyTree) -> tuple[_Plant, PyTree, tuple[Array, ...]]:
+    def commanded(parameters: PyTree, state: PyTree, inputs: PyTree) -> tuple[Plant, PyTree, tuple[Array, ...]]:
         """Plant, state under the torque and right after the commands, and these within their limits."""
         plant = eqx.combine(parameters, fixed)
         commands = clipped(plant, inputs)
         state = eqx.combine(state, whole)._replace(io=IOState(jnp.zeros(()), inputs["torque"], ()))
         return plant, plant.apply_commands(state, commands), commands
 
-    def clipped(plant: _Plant, inputs: PyTree) -> tuple[Array, ...]:
+    def clipped(plant: Plant, inputs: PyTree) -> tuple[Array, ...]:
         return plant.clip_commands([inputs[f"command{number}"] for number, _ in enumerate(plant.muscles, 1)])
 
     def init(parameters: PyTree, start: PyTree, inputs: PyTree) -> dict[str, PyTree]:
@@ -79,15 +76,14 @@ def plant_unit(plant: _Plant, initial: PyTree, name: str, period: float, substep
         mechanism, tensions = plant.mechanism, plant.forces(state).tensions
         numbers = {"stiffness": mechanism.like_joints(mechanism.stiffness(state[0], state.pressures))}
         numbers |= {f"tension{number}": tension for number, tension in enumerate(tensions, 1)}
-        if isinstance(plant, RobotPlant):
-            numbers["ground_force"] = plant.sample(state, 0.0)[1].ground_force
+        numbers |= plant.outputs(state)
         if not held:
             numbers |= {f"pressure{number}": pressure for number, pressure in enumerate(state.pressures, 1)}
         return {"results": numbers}
 
     def rates(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         plant, state, commands = commanded(parameters, state, inputs)
-        motion, valve = plant.rate(state), plant.valve
+        motion, valve = plant.rate(state), plant.valve  # type: ignore[attr-defined]  # of each plant
         pressures, air = (), ()
         if held:
             pressures, air = valve.rates(state.pressures, state.air, commands, lambda: plant.air_volumes(state))

@@ -272,6 +272,14 @@ class Plant(Component):
     def check_start(self, start: Any) -> None:
         """Raise `RangeError` where the plain numbers of a start are not possible; a state always is."""
 
+    @abc.abstractmethod
+    def unpressurised(self) -> PlantState:
+        """Return the state at rest without pressures, at angles of 0 or as near as stops permit."""
+
+    def outputs(self, state: PlantState) -> dict[str, Array]:
+        """Return further quantities of a state that an exported plant has, by name."""
+        return {}
+
     def begin(self, start: Any) -> PlantState:
         """Return the state of a start; by default a start is a state."""
         return start._replace(last=())

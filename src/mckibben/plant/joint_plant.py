@@ -124,6 +124,9 @@ class JointPlant(Plant):
         pressure1, pressure2 = map(floating, pressure_pair(pressures))
         return self.complete_state(PlantState(angle, jnp.zeros_like(angle), (pressure1, pressure2)))
 
+    def unpressurised(self) -> PlantState:
+        return self.init_state(0.0, (0.0, 0.0))
+
     def fastest_rates(self, angles: Angles, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
         return {"the motion": _fastest_mode(self, angles, stiffness), "the air": _fastest_air(self, angles)}
 

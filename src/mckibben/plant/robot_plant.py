@@ -95,7 +95,7 @@ class RobotPlant(Plant):
 
     def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, RobotMeasurement]:
         state, (angles, pressures) = super().sample(state, period)
-        return state, RobotMeasurement(cast(Any, angles), pressures, self.ground_force(state).dot(self.ground.normal))
+        return state, RobotMeasurement(cast(Any, angles), pressures, **self.outputs(state))
 
     def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
         """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
@@ -151,6 +151,12 @@ class RobotPlant(Plant):
             the foot is in the ground.
         """
         return self.begin(RobotStart(tuple(angles), tuple(pressures), clearance, upward_speed))
+
+    def unpressurised(self) -> PlantState:
+        return self.init_state(self.robot.posture_angles({}), (0.0,) * len(self.muscles))
+
+    def outputs(self, state: PlantState) -> dict[str, Array]:
+        return {"ground_force": self.ground_force(state).dot(self.ground.normal)}
 
     def check_start(self, start: RobotStart | PlantState | None) -> None:
         """Raise `RangeError` where the plain numbers of a start are not possible, as by `init_state`."""

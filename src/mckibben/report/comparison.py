@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.study.compare.statistics import front, median
-from mckibben.units import deg, litre
+from mckibben.units import litre
 
 if TYPE_CHECKING:
     from mckibben.study.compare import CompareResult
 
-_ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
+_ERRORS = (("angle_rmse", "deg"), ("stiffness_rmse", "N*m/rad"))
 
 
 @styled
@@ -22,10 +22,11 @@ def comparison_errors(result: CompareResult) -> Figure:
     """Cumulative distribution of the angle and stiffness errors over the unseen runs, by controller."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots(1, 2, sharey=True)
-    looks = looks_of(result.batches)
-    for i, (panel, (metric, label, unit)) in enumerate(zip(axes, _ERRORS, strict=True)):
+    looks, kind = looks_of(result.batches), result.joint_type
+    for i, (panel, (metric, unit)) in enumerate(zip(axes, _ERRORS, strict=True)):
+        label = kind.label(metric.replace("_", " "), unit)
         for name, look in looks.items():
-            values = result.metric(name, metric) / unit  # failed runs are below no error
+            values = result.metric(name, metric) / kind.size(unit)  # failed runs are below no error
             panel.ecdf(np.where(np.isfinite(values), values, np.inf), label=name, **look)
         panel.set_xscale("log")
         plain_numbers(panel.xaxis)
@@ -48,11 +49,11 @@ def comparison_front(result: CompareResult) -> Figure:
         if points := front(result.trials.get(name, ())):
             air, angle = (
                 [median(trial, metric) / unit for trial in points]
-                for metric, unit in (("air", litre), ("angle_rmse", deg))
+                for metric, unit in (("air", litre), ("angle_rmse", result.joint_type.size("deg")))
             )
             marker = "o" if look["linestyle"] == "-" else "D"  # of a colour that is used twice
             axes.plot(air, angle, drawstyle="steps-post", marker=marker, markersize=2.5, label=name, **look)
-    axes.set(xlabel="air consumption [L]", ylabel="angle rmse [deg]")
+    axes.set(xlabel="air consumption [L]", ylabel=result.joint_type.label("angle rmse", "deg"))
     if axes.lines:
         axes.set(xscale="log", yscale="log")
         plain_numbers(axes.xaxis)

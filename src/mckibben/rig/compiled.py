@@ -23,7 +23,6 @@ from mckibben.muscle import MuscleState
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.program_cache import ARRAYS
 from mckibben.plant import JointPlant, Plant, PlantState
-from mckibben.plant.robot_plant import RobotStart
 from mckibben.rig.channels import Channels
 from mckibben.scenario import StudiedScenario
 
@@ -50,9 +49,7 @@ def vented_state(plant: Plant, start: PyTree = None) -> PyTree:
     if robot.motions:
         remedy = "give it `base: fixed`, as a stand holds it"
         raise SimulationError("a robot on a rig is vented, and its base would fall", field="robot.base", remedy=remedy)
-    if start is None:
-        start = plant.begin(RobotStart(robot.posture_angles({}), (0.0,) * len(plant.muscles)))
-    start = _relaxed(plant, start)
+    start = _relaxed(plant, plant.unpressurised() if start is None else start)
     return _at_angles(plant, start, _equilibrium(plant, start))[0]
 
 

@@ -69,9 +69,9 @@ def sensor_line(readings: Sequence[str]) -> SensorLine:
 
     Examples
     --------
-    >>> line = sensor_line(["0.021 = 0 kg", "0.5114 = 10 kg", "2.964 = 60 kg"])
+    >>> line = sensor_line(["0.02 = 0 kg", "0.5105 = 10 kg", "2.963 = 60 kg"])
     >>> round(line.gain, 1), round(line.offset, 2), line.unit
-    (200.0, -4.18, 'N')
+    (200.0, -4.0, 'N')
     """
     known = [_parsed(text) for text in readings]
     given = {unit for *_, unit in known}

@@ -77,6 +77,9 @@ class _TestStand(Plant):
     def fastest_rates(self, angles: PyTree, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
         return self.plant.fastest_rates(angles, stiffness)
 
+    def unpressurised(self) -> PlantState:
+        return self.plant.unpressurised()
+
     def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, PyTree]:
         return self.plant.sample(state, period)
 

@@ -13,7 +13,6 @@ from mckibben.simulation import LEAST_DISK_MARGIN, Batch, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.parameters import Table
 from mckibben.study.tune.cost import mean_of_joints
-from mckibben.units import deg
 
 _QUANTITIES: Mapping[str, Callable[[ScenarioParameter], bool]] = {
     "payload": lambda p: p.part in ("load", "robot") and p.unit == "kg",
@@ -31,10 +30,9 @@ class Changed(NamedTuple):
     batch: Batch
     disk: NDArray[np.float64]
 
-    @property
-    def cells(self) -> list[str]:
-        """Angle RMSE [deg] with each change, and the disk margin where it is too small; or how the run fails."""
-        errors = mean_of_joints(self.batch.metrics["angle_rmse"]) / deg
+    def cells(self, unit: float) -> list[str]:
+        """Return the angle RMSE in a unit [SI] with each change and a disk margin too small, or how the run fails."""
+        errors = mean_of_joints(self.batch.metrics["angle_rmse"]) / unit
         rows = zip(self.batch["outcome"], errors.tolist(), self.disk.tolist(), strict=True)
         return [_cell(OUTCOMES[code], error, disk) for code, error, disk in rows]
 

@@ -27,7 +27,7 @@ from mckibben.study.tune.cost import mean_of_joints
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Vector
 from mckibben.study.tune.trials import Trial
-from mckibben.units import litre
+from mckibben.units import JointType, litre
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -56,6 +56,10 @@ class CompareResult(Result):
     changed: dict[str, Changed] = field(default_factory=dict)  # as tuned, on plants that differ in one respect
     calibrated: dict[str, Batch] = field(default_factory=dict)  # with models calibrated on the plants of the runs
     calibrated_runs: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # whether each first run was
+
+    @property
+    def joint_type(self) -> JointType:
+        return self.suite.joint_type
 
     @functools.cached_property
     def order(self) -> list[str]:
@@ -103,14 +107,14 @@ class CompareResult(Result):
 
     def verdict(self) -> str:
         """Return the controller of the least median cost, and its angle error against that of the first."""
-        best, first = self.order[0], next(iter(self.batches))
+        best, first, error = self.order[0], next(iter(self.batches)), self.joint_type.words("angle RMSE")
         runs = f"{len(self.batches)} controllers on {self.runs.count} runs"
         if not self.usable(best):
             return f"{runs}: none has a disk margin of {LEAST_DISK_MARGIN:g}, so that none is to be used"
         if best == first:
-            others = "".join(f"; {name} has {self._ratio(name):.3g} x its angle RMSE" for name in self.order[1:2])
+            others = "".join(f"; {name} has {self._ratio(name):.3g} x its {error}" for name in self.order[1:2])
             return f"{runs}: {best} is best{others}"
-        return f"{runs}: {best} is best, with {self._ratio(best):.3g} x the angle RMSE of {first}"
+        return f"{runs}: {best} is best, with {self._ratio(best):.3g} x the {error} of {first}"
 
     def _ratio(self, controller: str) -> float:
         return ratio_of_errors([self], controller, [self]).ratio
@@ -166,12 +170,14 @@ class CompareResult(Result):
         """Return the errors, against those of the first controller as tuned in another result."""
         return error_columns([self], [tuned], list(self.batches))
 
-    @table("What breaks: angle RMSE [deg] on the plant of the models with one change")
-    def breaks(self) -> TableColumns:
-        """Return the errors on changed plants, the disk margins that are too small, and how runs fail."""
-        changes = next((changed.changes for changed in self.changed.values()), ())
-        cells = {name: (Column(), self.changed[name].cells) for name in self.order if name in self.changed and changes}
-        return {"change": (Column(), list(changes)), **cells} if changes else {}
+    @table()
+    def breaks(self) -> Iterator[Listing]:
+        """Yield the errors on changed plants, the disk margins that are too small, and how runs fail."""
+        kind, changes = self.joint_type, next((changed.changes for changed in self.changed.values()), ())
+        names = [name for name in self.order if name in self.changed and changes]
+        cells = {name: (Column(), self.changed[name].cells(kind.size("deg"))) for name in names}
+        title = f"What breaks: {kind.label('angle RMSE', 'deg')} on the plant of the models with one change"
+        yield from [Listing(title, {"change": (Column(), list(changes)), **cells})] if changes else []
 
     @table("Tuned on the training runs", detail=True)
     def tuned_values(self) -> TableColumns:
@@ -215,6 +221,10 @@ class PooledResult(Result):
     suite: str
     results: dict[str, CompareResult]
 
+    @property
+    def joint_type(self) -> JointType:
+        return next(iter(self.results.values())).joint_type
+
     def verdict(self) -> str:
         """Return the controller of the least angle error over all setups, of those that may be used."""
         results = list(self.results.values())
@@ -222,7 +232,8 @@ class PooledResult(Result):
         ratios = {name: ratio_of_errors(results, name, results).ratio for name in usable}
         best = min(ratios, key=lambda name: ratios[name], default="")
         least = f"has a disk margin of {LEAST_DISK_MARGIN:g} in every setup"
-        text = f"{best} has {ratios[best]:.3g} x the angle RMSE of {first}" if best else f"no controller {least}"
+        error = self.joint_type.words("angle RMSE")
+        text = f"{best} has {ratios[best]:.3g} x the {error} of {first}" if best else f"no controller {least}"
         return f"{self.suite}, {len(results)} setups: {text}"
 
     def usable(self, controller: str) -> bool:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, ClassVar, Self, TypeVar
 
 from jaxtyping import PyTree
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from mckibben.config.model import ConfigModel, fail_validation
-from mckibben.errors import ParameterError
+from mckibben.errors import McKibbenError, ParameterError
 from mckibben.scenario import StudiedScenario, list_parameters, with_values
 from mckibben.scenario.scenario import (
     JointPart,
@@ -21,6 +21,7 @@ from mckibben.scenario.scenario import (
 )
 from mckibben.study.parameters import SweptParameter, parse_sweeps, sweep_parameters
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
+<<<<<<< HEAD
 from mckibben.units import (
     Angle,
     AngularVelocity,
@@ -30,6 +31,9 @@ from mckibben.units import (
     PositiveMass,
     deg,
 )
+=======
+from mckibben.units import HINGE, AngularVelocity, BoundedInt, CommandDelay, JointType
+>>>>>>> main
 
 S = TypeVar("S", bound=StudiedScenario)
 Share = Annotated[int, BoundedInt(1, 1000)]
@@ -77,12 +81,8 @@ class ReferenceCase(ConfigModel):
     over: tuple[str, ...] = ()
 
 
-def _checked_cost(text: str) -> str:
-    parse_cost(text)
-    return text
-
-
-CostText = Annotated[str, AfterValidator(_checked_cost)]
+def _usual_cost(kind: JointType) -> str:
+    return f"angle_rmse/0.1 {kind.shown('deg')} + stiffness_rmse/0.5 {kind.shown('N*m/rad')}"
 
 
 class TuningSettings(ConfigModel):
@@ -92,7 +92,7 @@ class TuningSettings(ConfigModel):
     `starts` for least cost, another is for least angle error at the air of the first controller.
     """
 
-    cost: CostText = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
+    cost: str = _usual_cost(HINGE)
     runs: Annotated[int, BoundedInt(1, _MOST)] = 32  # training runs per point
     seed: Seed = 99
     starts: Annotated[int, BoundedInt(1, 1000)] = 2  # the gains of the file, then random ones
@@ -208,9 +208,23 @@ class SuiteSettings(RunSettings):
         return "sensors.seed" in [parameter.name for parameter in list_parameters(self.example())]
 
     @property
+    def joint_type(self) -> JointType:
+        """How its joints move."""
+        return HINGE
+
+    @property
     def cost(self) -> Cost:
-        """Cost of a run."""
-        return parse_cost(self.tuning.cost)
+        """Cost of a run, by default in the units of its joint."""
+        text = self.tuning.cost
+        return parse_cost(_usual_cost(self.joint_type) if text == _usual_cost(HINGE) else text, self.joint_type)
+
+    @model_validator(mode="after")
+    def _cost_fits(self) -> Self:
+        try:
+            self.cost  # noqa: B018
+        except McKibbenError as error:
+            fail_validation(error.message, error.remedy, field="tuning.cost")
+        return self
 
     def tuned_scenario(self, controller: str, values: Mapping[str, float]) -> PyTree:
         """Scenario of the first reference, with the plant of the models, and tuned values [SI] of the controller."""

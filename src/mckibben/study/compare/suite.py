@@ -53,6 +53,7 @@ from mckibben.units import (
     AngularVelocity,
     CommandDelay,
     Duration,
+    JointType,
     PositiveTime,
 )
 
@@ -157,24 +158,30 @@ class Suite(ControllerSuite):
 
     @field_validator("joint", mode="after")
     @classmethod
-    def _turns(cls, value: AntagonisticJoint) -> AntagonisticJoint:
-        if value.joint_type is not HINGE:
-            fail_validation("is a slide: costs and gains of a comparison are those of a hinge", "use `mckibben tune`")
+    def _is_a_pair(cls, value: AntagonisticJoint) -> AntagonisticJoint:
+        if any(value.springs):
+            message = "is one muscle alone, without a stiffness of its own choice at which air can be compared"
+            fail_validation(message, "use `mckibben tune`")
         return value
+
+    @property
+    def joint_type(self) -> JointType:
+        return self.joint.joint_type
 
     @classmethod
     def of(cls, scenario: Scenario, controllers: Mapping[str, Controller] | None = None, **settings: Any) -> Suite:
         """Return the suite of a scenario: its controller, named "scenario", and others by name on its reference.
 
         Default controllers: PID loops, the same with feedforward, and decoupling, unless the scenario's is of that
-        class. `settings` are other attributes, such as `tuning` and `evaluation`; default `conditions`: the uncertainty
-        of the scenario, or both muscles' strengths by up to 10 %, and the masses of the load by up to 20 %. Raises
-        `ParameterError` if all runs are identical.
+        class; on a slide, for which we know no gains of loops, decoupling alone. `settings` are other attributes, such
+        as `tuning` and `evaluation`; default `conditions`: the uncertainty of the scenario, or both muscles' strengths
+        by up to 10 %, and the masses of the load by up to 20 %. Raises `ParameterError` if all runs are identical.
         """
         others: Mapping[str, Any] | None = controllers
         if others is None:
             controller_class = type(scenario.controller)
-            others = {name: section for name, (kind, section) in DEFAULTS.items() if kind is not controller_class}
+            known = DEFAULTS if scenario.joint_type is HINGE else {"decoupling": DEFAULTS["decoupling"]}
+            others = {name: section for name, (kind, section) in known.items() if kind is not controller_class}
         if "conditions" not in settings:
             settings["conditions"] = scenario.uncertainty or sum(usual_variation(scenario), ())
         sections = {name: getattr(scenario, name) for name in (*PLANT, "name", "duration", "control_period")}
