@@ -120,7 +120,7 @@ BUDGET = {
     "simulation": 3560,
     "statics": 560,
     "storage": 600,
-    "study": 4050,
+    "study": 4070,
     "web": 3090,
 }
 

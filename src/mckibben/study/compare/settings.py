@@ -21,19 +21,17 @@ from mckibben.scenario.scenario import (
 )
 from mckibben.study.parameters import SweptParameter, parse_sweeps, sweep_parameters
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
-<<<<<<< HEAD
 from mckibben.units import (
+    HINGE,
     Angle,
     AngularVelocity,
     BoundedInt,
     CommandDelay,
+    JointType,
     Length,
     PositiveMass,
     deg,
 )
-=======
-from mckibben.units import HINGE, AngularVelocity, BoundedInt, CommandDelay, JointType
->>>>>>> main
 
 S = TypeVar("S", bound=StudiedScenario)
 Share = Annotated[int, BoundedInt(1, 1000)]
