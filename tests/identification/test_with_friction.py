@@ -201,7 +201,7 @@ def test_a_saved_fit_has_the_muscle_for_scenarios(rig, tmp_path):
     muscle = read_component(Muscle, tmp_path / "muscle.yaml")
     contraction, pressure = np.linspace(0.0, 0.15, 4), 3.0 * bar
     predicted = np.maximum(forces(muscle.law, contraction, pressure), 0.0)
-    np.testing.assert_array_equal(predicted, fit.predict(contraction, pressure))
+    np.testing.assert_allclose(predicted, fit.predict(contraction, pressure), atol=0.01 * fit.hysteresis.rmse)
     for name in ("half_width", "presliding_length"):
         moved = float(getattr(muscle.friction, name)) - float(getattr(fit.friction, name))
         assert 0 < abs(moved) <= 0.05 * fit.hysteresis.standard_errors[name]
