@@ -511,7 +511,7 @@ class Result(Suggesting):
     def listings(self) -> Iterable[Listing]:
         """Return the tables: the declared scalars and columns, each with its details apart, then each `table`."""
         scalars, columns = {}, {}
-        for name, (column, value) in self.numbers().items():
+        for name, (column, value) in self.converted().items():
             if _dimensions(value) == 0:
                 scalars[name] = column, [value]
             elif not column.dims:
@@ -537,7 +537,7 @@ class Result(Suggesting):
         missing = [name for name, (_, value) in values.items() if value is None and name not in vars(self)]
         return {name: value for name, value in values.items() if name not in missing}
 
-    def numbers(self) -> TableColumns:
+    def converted(self) -> TableColumns:
         """Return what is `declared`, in the units of the joint."""
         return _for_joint(self.declared(), self.joint_type)
 
@@ -604,7 +604,7 @@ class Result(Suggesting):
         It is what `--json` prints; `results.json` has the names of all files, `files`, too.
         """
         scalars, columns = {}, {}
-        for name, (column, value) in self.numbers().items():
+        for name, (column, value) in self.converted().items():
             entry = {"title": column.title or name.replace("_", " "), "unit": column.unit}
             if _dimensions(value) == 0:
                 scalars[name] = {**entry, "value": json_ready(_plain(value))}
@@ -632,7 +632,7 @@ class Result(Suggesting):
         import xarray as xr
 
         variables = {}
-        for name, (column, value) in self.numbers().items():
+        for name, (column, value) in self.converted().items():
             values = np.asarray(value)
             dims = column.dims or ("row",) * values.ndim
             if values.dtype.kind != "O":

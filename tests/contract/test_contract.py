@@ -132,6 +132,7 @@ EXAMPLES = [
     control.InverseModelControl(LOOPS, LOAD),
     control.OpenLoopControl(control.Step(2e5, 3e5, 1e-3), 2.5e5, KNEE),
     control.DelayCompensation(KNEE, LOAD, controller=LOOPS, command_delay=2.5e-3),
+    control.Dither(controller=LOOPS, amplitude=5e3),
     robot.PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ())),
     robot.JointwiseControl((LOOPS, LOOPS)),
     robot.ComputedTorque(control.PolePlacement(30.0), robot=ROBOT, valve=FirstOrderValve(0.02)),

@@ -241,7 +241,8 @@ def test_controllers_of_two_muscles_on_a_slide_are_compared_in_its_units():
 
 def test_the_stiffness_of_a_slide_in_service_is_in_its_unit():
     stiffness, deviation, none = np.array([[12e3]]), np.array([[100.0]]), np.empty((1, 0))
-    service = Service(np.array([2.0]), stiffness, deviation, stiffness, 9 * deviation, none, none, (("",), ()), SLIDE)
+    told = np.array([True]), ("",), (("",), ()), SLIDE
+    service = Service(np.array([2.0]), stiffness, deviation, stiffness, 9 * deviation, none, none, *told)
     assert "12 +- 0.2 N/mm" in service.verdict()
     column, values = service.listing().for_joint(SLIDE).columns["stiffness"]
     assert (column.shown_unit, values[0] / column.size) == ("N/mm", 12.0)

@@ -37,7 +37,8 @@ def test_a_push_of_a_slide_is_a_force_and_feels_its_mass():
     felt = felt_stiffness(scenario, torque=0.5, frequencies=(0.5, 3.0))[""]
     rate = 2 * np.pi * felt.frequency
     np.testing.assert_allclose(felt.impedance, felt.isobaric - 2 * rate**2 + 100j * rate, rtol=1e-4)
-    assert FeltStiffness(scenario, {"": felt}).comparison()["isobaric"][0].shown_unit == "N/mm"
+    tables = [listing.columns for listing in FeltStiffness(scenario, {"": felt}).listings()]
+    assert {table["isobaric"][0].shown_unit for table in tables if "isobaric" in table} == {"N/mm"}
 
 
 @pytest.mark.slow

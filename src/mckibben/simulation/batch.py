@@ -175,7 +175,7 @@ class Batch(RunTable):
     def spread(self) -> TableColumns:
         """Least, median and largest value of each metric; of several joints or muscles one row each."""
         rows = []
-        for metric, (mark, _) in self.numbers().items():
+        for metric, (mark, _) in self.converted().items():
             for name, row in rows_of(self.table[metric]).items():
                 finite = row[np.isfinite(row)]
                 ends = np.percentile(finite, list(_PARTS.values())) if finite.size else np.full(len(_PARTS), np.nan)
