@@ -282,9 +282,9 @@ def _slider(scenario: Scenario, numbers: _Numbers, swept: SweptParameter) -> Sli
     of_plant = swept.parameter.part in scenario.plant_parts
     for member, base, first, last, middle in zip(numbers.members, numbers.values, *values, strict=True):
         with np.errstate(invalid="ignore"):  # limits that are infinite, and stay so
-            slope = (last - first) / (high - low)
+            slope, moved = (last - first) / (high - low), np.nan_to_num(np.abs(last - first))
             bent = np.abs(middle - (first + last) / 2) + np.abs(base - first - slope * (nominal - low))
-        if np.any(np.nan_to_num(bent) > _EXACT * np.nan_to_num(np.abs(last - first))):
+        if np.any(np.nan_to_num(bent) > _EXACT * moved):
             text = f"{member.path} does not depend on {swept.name} linearly"
             raise ExportError(text, field=swept.name, remedy="give another slider")
         if np.any(np.nan_to_num(slope)):
