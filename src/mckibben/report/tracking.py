@@ -215,8 +215,7 @@ def error_curves(columns: Mapping[str, Mapping[str, SimulationResult]]) -> Figur
             axes.set(xlabel=TIME if row == 2 else "")
         letter(grid[0, i], i, f"angle, {title}")
         letter(grid[1, i], count + i, f"stiffness, {title}")
-        letter(grid[2, i], 2 * count + i, f"settling, {title}")
-        _settling(grid[2, i], runs, times)
+        letter(grid[2, i], 2 * count + i, _settling(grid[2, i], runs, times))
     _share_limits(grid[0], angle, times, "deg", part=0.998, margin=0.12)
     _share_limits(grid[1], stiffness, times, "N·m/rad", part=0.975, margin=0.7)
     grid[0, 0].set_ylabel("angle error [deg]")
@@ -247,8 +246,8 @@ def _share_limits(
         note_off_scale(axes, times, dict(column), unit)
 
 
-def _settling(axes: Axes, runs: Mapping[str, SimulationResult], times: NDArray[np.float64]) -> None:
-    """Stiffness error after the last step of its reference, with settling band and settling times."""
+def _settling(axes: Axes, runs: Mapping[str, SimulationResult], times: NDArray[np.float64]) -> str:
+    """Draw the stiffness error after the last step of its reference, with its band; the settling times in words."""
     first = next(iter(runs.values()))
     desired = first["desired_stiffness"]
     change = int(last_change(desired).at)
@@ -266,7 +265,7 @@ def _settling(axes: Axes, runs: Mapping[str, SimulationResult], times: NDArray[n
         if np.isfinite(value) and value <= length:
             axes.axvline(start + value, color=looks[name]["color"], linewidth=0.8, linestyle=":", zorder=1)
     text = ", ".join(f"{n} {v:.3f} s" if np.isfinite(v) else f"{n} never" for n, v in settled.items())
-    axes.set_title(f"settling: {text}", fontsize=7.5)
+    return f"settling: {text}"
 
 
 def _angle_error(result: SimulationResult) -> NDArray[np.float64]:
