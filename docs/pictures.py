@@ -119,7 +119,7 @@ def _stiffness() -> None:
 
 @styled
 def _bandwidth() -> Figure:
-    """What the bandwidth of the observer means where the friction is not that of the model."""
+    """Error, margin and travel over the bandwidth of the observer, with friction unlike the model's."""
     load = mk.PendulumLoad(1.0, 0.25, damping=0.05)
     muscle = dataclasses.replace(mk.catalog.joint("knee-table-2").muscle1, friction=mk.MaxwellSlip("7.5 N", "0.5 mm"))
     lab = mk.joint(muscle, "pulley", radius=30 * mm).scenario(load).with_fixed_model()

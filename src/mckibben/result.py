@@ -492,7 +492,7 @@ class Result(Suggesting):
 
     @property
     def joint_type(self) -> JointType:
-        """How the joint moves that it is about: its numbers are declared for a hinge."""
+        """Joint type of its numbers, which are declared for a hinge."""
         return HINGE
 
     def verdict(self) -> str:

@@ -131,22 +131,31 @@ def factor(unit: str, to: str = "") -> float:
     return math.prod(_VOCABULARY[name][0] ** power for name, power in powers.items())
 
 
+def number_and_unit(text: str) -> tuple[str, str]:
+    """Number at the start of a text, and the unit behind it; "" for what is missing.
+
+    >>> number_and_unit("12.5 mm"), number_and_unit("fast")
+    (('12.5', 'mm'), ('', ''))
+    """
+    number = NUMBER.match(text.strip())
+    return (number.group(), text.strip()[number.end() :].strip()) if number else ("", "")
+
+
 def _split(text: object, unit: str, unit_in_files: str) -> tuple[str, str]:
     """Number and unit of a quantity as texts; `UnitError` where it is not both."""
     stripped, asked = str(text).strip(), unit_in_files or {"m": "mm", "Pa": "bar"}.get(unit, unit)
-    number = NUMBER.match(stripped)
-    unit_text = stripped[number.end() :].strip() if number else ""
+    number, unit_text = number_and_unit(stripped)
     wrong, example = "", f"12.5 {asked}"
     if not isinstance(text, str) or (number and not unit_text and unit != "1"):  # YAML gives numbers, too
         wrong, example = "has no unit", f"{stripped:.{LONGEST_VALUE}} {asked}"
     elif not number or not _REST.fullmatch(unit_text) or len(stripped) > LONGEST_VALUE:
         wrong = "is not a number and a unit"
         example = stripped.replace(",", ".") if re.fullmatch(r"\d{1,9},\d{1,9} \S{1,9}", stripped) else example
-    if wrong or not number:
+    if wrong:
         raise UnitError(
             f"{quoted(text)} {wrong}", value=text, unit=unit_in_files or unit, remedy=f"write it like {example!r}"
         )
-    return number.group(), f"1{unit_text}" if unit_text.startswith("/") else unit_text or "1"
+    return number, f"1{unit_text}" if unit_text.startswith("/") else unit_text or "1"
 
 
 def quantity(text: object, unit: str, *, shown: str = "") -> float:

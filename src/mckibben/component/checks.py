@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError, UnitError, described, quoted, with_article
-from mckibben.units import NUMBER, SYMBOLS, Quantity, dimensions, factor
+from mckibben.units import SYMBOLS, Quantity, dimensions, factor, number_and_unit
 
 
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
@@ -101,10 +101,11 @@ def as_number(value: object, unit: str = "") -> str:
     'give a number in SI units, such as 0.25 or 250 * mm with mckibben.units'
     """
     example = f"3 * {unit}" if unit not in ("", "1") else ""
-    if isinstance(value, str) and (number := NUMBER.match(value)) and (written := value[number.end() :].strip()):
+    number, written = number_and_unit(value) if isinstance(value, str) else ("", "")
+    if written:
         with suppress(UnitError):
             if dimensions(written) == dimensions(unit or written):
-                example = f"{float(number.group()) * factor(written):g} or {number.group()} * {written}"
+                example = f"{float(number) * factor(written):g} or {number} * {written}"
     example = example.replace("^", "**").replace("%", "percent")
     remedy = "give a number" if unit == "1" else "give a number in SI units"
     return f"{remedy}, such as {example} with mckibben.units" if example else remedy
@@ -127,11 +128,11 @@ def in_si(owner: str, name: str, value: object, mark: object) -> object:
         return tuple(in_si(owner, name, item, mark) for item in value)
     if not isinstance(value, str):
         return value
-    number = NUMBER.match(value.strip()) if mark.unit in SYMBOLS else None
-    if mark.unit in SYMBOLS and not (number and (written := value.strip()[number.end() :].strip())):
+    number, written = number_and_unit(value)
+    if mark.unit in SYMBOLS and not written:
         return value
     try:
-        return float(number.group()) * factor(written) if number else mark.read(value)
+        return float(number) * factor(written) if mark.unit in SYMBOLS else mark.read(value)
     except (UnitError, RangeError) as error:
         error.field, error.message = name, f"{owner}: {name}: {error.message}"
         raise

@@ -140,7 +140,7 @@ def page_files(scenario: StudiedScenario, name: str, folder: Path, *, over: Sequ
     values = {
         "title": scenario.name,
         "name": name,
-        "lead": f"{_LEADS[stiffness['isAsked'] > 0]} {kind.words('angle')}",
+        "lead": f"{_LEADS[int(stiffness['isAsked'])]} {kind.words('angle')}",
         "settings": _script(json.dumps(settings)),
         "program": _script(program),
     }

@@ -33,7 +33,7 @@ class Geometry(Component):
 
     default_class = "knee"
     joint_type: ClassVar[JointType] = HINGE
-    """How the joint moves."""
+    """Joint type."""
 
     @property
     def angle_range(self) -> tuple[float, float]:

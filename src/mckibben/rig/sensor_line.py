@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError, UnitError
 from mckibben.result import Remark, Result, column
-from mckibben.units import GRAVITY, NUMBER, factor, percent, quantity
+from mckibben.units import GRAVITY, NUMBER, factor, number_and_unit, percent, quantity
 
 _SI = ("N", "Pa", "rad", "m", "N*m", "K")
 
@@ -93,10 +93,9 @@ def sensor_line(readings: Sequence[str]) -> SensorLine:
 def _parsed(text: str) -> tuple[float, float, str]:
     """Reading, value in SI and its SI unit, or kg."""
     reading, _, value = text.partition("=")
-    number = NUMBER.match(value.strip())
-    if not NUMBER.fullmatch(reading.strip()) or number is None:
+    if not NUMBER.fullmatch(reading.strip()):
         raise UnitError(f"{text!r} is no reading", value=text, remedy='write "READING = VALUE UNIT": "0.51 = 98.1 N"')
-    written = value.strip()[number.end() :].strip()
+    _, written = number_and_unit(value)
     for unit in (*_SI, "kg"):
         try:
             factor(written or "1", unit)

@@ -207,7 +207,7 @@ class SuiteSettings(RunSettings):
 
     @property
     def joint_type(self) -> JointType:
-        """How its joints move."""
+        """Joint type of its joints."""
         return HINGE
 
     @property
